@@ -18,51 +18,51 @@ TYPE_CHECKING = False  # as `typing` has it: its import would be a while in whic
 if TYPE_CHECKING:
     from typing import Any, Final
 
-    from bench.analysis.calibration import CalibrationError as CalibrationError
-    from bench.api.budget import BudgetResult as BudgetResult
-    from bench.api.budget import budget as budget
-    from bench.api.calibration import CalibrationResult as CalibrationResult
-    from bench.api.calibration import Coefficient as Coefficient
-    from bench.api.check_block import CheckBlockChart as CheckBlockChart
-    from bench.api.check_runs import chart as chart
-    from bench.api.confirmation import ConfirmationResult as ConfirmationResult
-    from bench.api.diagnosis import DiagnosisResult as DiagnosisResult
-    from bench.api.errors import Refused as Refused
-    from bench.api.face import DryRun as DryRun
-    from bench.api.face import calibrate as calibrate
-    from bench.api.face import confirm as confirm
-    from bench.api.face import diagnose as diagnose
-    from bench.api.face import dry_run as dry_run
-    from bench.api.face import learn as learn
-    from bench.api.face import load_bench as load_bench
-    from bench.api.face import read_readings as read_readings
-    from bench.api.face import verify as verify
-    from bench.api.free_diagnosis import FreeDiagnosisResult as FreeDiagnosisResult
-    from bench.api.learning import LearningResult as LearningResult
-    from bench.api.verification import VerificationResult as VerificationResult
     from bench.base.forms import FileMistakes as FileMistakes
-    from bench.files.bench.file import BenchFile as BenchFile
+    from bench.calibration import CalibrationError as CalibrationError
+    from bench.config.bench_file.file import BenchFile as BenchFile
     from bench.readings.csv import ReadingsError as ReadingsError
     from bench.readings.table import Readings as Readings
     from bench.run.manifest import RecordError as RecordError
+    from bench.services.budget import BudgetResult as BudgetResult
+    from bench.services.budget import budget as budget
+    from bench.services.calibration import CalibrationResult as CalibrationResult
+    from bench.services.calibration import Coefficient as Coefficient
+    from bench.services.check_block import CheckBlockChart as CheckBlockChart
+    from bench.services.check_runs import chart as chart
+    from bench.services.confirmation import ConfirmationResult as ConfirmationResult
+    from bench.services.diagnosis import DiagnosisResult as DiagnosisResult
+    from bench.services.errors import Refused as Refused
+    from bench.services.face import DryRun as DryRun
+    from bench.services.face import calibrate as calibrate
+    from bench.services.face import confirm as confirm
+    from bench.services.face import diagnose as diagnose
+    from bench.services.face import dry_run as dry_run
+    from bench.services.face import learn as learn
+    from bench.services.face import load_bench as load_bench
+    from bench.services.face import read_readings as read_readings
+    from bench.services.face import verify as verify
+    from bench.services.free_diagnosis import FreeDiagnosisResult as FreeDiagnosisResult
+    from bench.services.learning import LearningResult as LearningResult
+    from bench.services.verification import VerificationResult as VerificationResult
 
 _HOMES: Final = {
-    "bench.analysis.calibration": ("CalibrationError",),
-    "bench.api.budget": ("BudgetResult", "budget"),
-    "bench.api.calibration": ("CalibrationResult", "Coefficient"),
-    "bench.api.check_runs": ("chart",),
-    "bench.api.check_block": ("CheckBlockChart",),
-    "bench.api.confirmation": ("ConfirmationResult",),
-    "bench.api.diagnosis": ("DiagnosisResult",),
-    "bench.api.errors": ("Refused",),
-    "bench.api.face": (
+    "bench.calibration": ("CalibrationError",),
+    "bench.services.budget": ("BudgetResult", "budget"),
+    "bench.services.calibration": ("CalibrationResult", "Coefficient"),
+    "bench.services.check_runs": ("chart",),
+    "bench.services.check_block": ("CheckBlockChart",),
+    "bench.services.confirmation": ("ConfirmationResult",),
+    "bench.services.diagnosis": ("DiagnosisResult",),
+    "bench.services.errors": ("Refused",),
+    "bench.services.face": (
         "DryRun", "calibrate", "confirm", "diagnose", "dry_run", "learn", "load_bench", "read_readings", "verify",
     ),
-    "bench.api.free_diagnosis": ("FreeDiagnosisResult",),
-    "bench.api.learning": ("LearningResult",),
-    "bench.api.verification": ("VerificationResult",),
+    "bench.services.free_diagnosis": ("FreeDiagnosisResult",),
+    "bench.services.learning": ("LearningResult",),
+    "bench.services.verification": ("VerificationResult",),
     "bench.base.forms": ("FileMistakes",),
-    "bench.files.bench.file": ("BenchFile",),
+    "bench.config.bench_file.file": ("BenchFile",),
     "bench.readings.csv": ("ReadingsError",),
     "bench.readings.table": ("Readings",),
     "bench.run.manifest": ("RecordError",),

@@ -22,16 +22,16 @@ import GTC
 import numpy as np
 import uncertainties
 
-from bench.analysis.budget.acceleration import exact_monte_carlo
-from bench.analysis.budget.coefficients import make_budget
-from bench.analysis.budget.propagation import linear_noise
-from bench.analysis.budget.setup import Setup, make_setup
-from bench.analysis.budget.sources import bench_sources
-from bench.analysis.calibration.closed_form import closed_form
 from bench.base.arrays import Floats
-from bench.files.bench.file import load_bench
-from bench.files.shipped import find_bench, find_procedure
-from bench.procedure.load import load_procedure
+from bench.calibration.budget.acceleration import exact_monte_carlo
+from bench.calibration.budget.coefficients import make_budget
+from bench.calibration.budget.propagation import linear_noise
+from bench.calibration.budget.setup import Setup, make_setup
+from bench.calibration.budget.sources import bench_sources
+from bench.calibration.closed_form import closed_form
+from bench.config.bench_file.file import load_bench
+from bench.config.procedure.load import load_procedure
+from bench.config.shipped import find_bench, find_procedure
 
 REPEATS = 7
 TRIALS = 2_000_000

@@ -16,10 +16,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy import stats
 
-from bench.analysis.intercomparison.capability import YEAR, Apart, capability
-from bench.analysis.intercomparison.crossed import EXCESS, Crossing, fit
-from bench.analysis.intercomparison.measured import Measured
 from bench.base.arrays import Mask
+from bench.history.intercomparison.capability import YEAR, Apart, capability
+from bench.history.intercomparison.crossed import EXCESS, Crossing, fit
+from bench.history.intercomparison.measured import Measured
 
 CASES = (
     (30, 5, 3, (1.0, 0.0, 0.0, 0.5)),

@@ -9,7 +9,7 @@ from pathlib import Path
 from bench.base.forms import load_document
 from bench.certificate.life import Desk
 from bench.cli.app import main
-from bench.files.shipped import CERTIFICATE, shipped_folder
+from bench.config.shipped import CERTIFICATE, shipped_folder
 from drivers.clock import utc_now
 
 BY = "A. Example"

@@ -22,9 +22,9 @@ import time
 from importlib import import_module
 from pathlib import Path
 
-from bench.api.errors import Refused
 from bench.certificate.life import Desk, issue_all
 from bench.certificate.register import LINES, MADE_FROM, opened
+from bench.services.errors import Refused
 from benchmarks.certificate_desk import prepare
 
 NEEDED = (

@@ -42,7 +42,7 @@ from bench.certificate.paper.page import body_of
 from bench.certificate.signature.signatory import new_certificate_key, signatory_of
 from bench.certificate.signature.xades import NotIntact, check_xml, sign_pdf, sign_xml
 from bench.certificate.verify.verdict import verify_certificate
-from bench.files.shipped import CERTIFICATE, shipped_folder
+from bench.config.shipped import CERTIFICATE, shipped_folder
 
 REFUSED, UNCHANGED, CHANGED = "refused", "unchanged", "CHANGED"
 _DIGITS: Final = b"0123456789"

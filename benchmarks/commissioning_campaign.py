@@ -31,11 +31,11 @@ from unittest import mock
 
 import yaml
 
-import bench.assembly.served
-from bench.api.instruments import PAGE, Setting, commission
+import bench.run.assembly.served
 from bench.base.arrays import ARCSEC
-from bench.commission.cables import CABLE
-from bench.files.bench.file import load_bench
+from bench.config.bench_file.file import load_bench
+from bench.run.commission.cables import CABLE
+from bench.services.instruments import PAGE, Setting, commission
 from benchmarks.fault_trials import ROOT, exact
 from drivers.interfaces import BenchError
 from sim.bench import OF_INSTRUMENT, SimulatedBench
@@ -166,7 +166,7 @@ class Struck:
 def struck(trial: Trial | None) -> Iterator[Struck]:
     """Within the context a dry bench has the fault of a trial."""
     watch = Struck(trial)
-    with mock.patch.object(bench.assembly.served, "SimulatedBench", watch):
+    with mock.patch.object(bench.run.assembly.served, "SimulatedBench", watch):
         yield watch
 
 

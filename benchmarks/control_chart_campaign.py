@@ -17,7 +17,8 @@ from typing import Final
 
 import numpy as np
 
-from bench.analysis.control_charts.statistics import (
+from bench.base.arrays import Floats
+from bench.history.control_charts.statistics import (
     ALIKE_P,
     Basis,
     Design,
@@ -26,7 +27,6 @@ from bench.analysis.control_charts.statistics import (
     judge,
     short_term,
 )
-from bench.base.arrays import Floats
 from bench.stats.run_length import ewma_arl, mewma_arl, shewhart_arl
 
 P: Final = 12

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.analysis.intercomparison.crossed import Crossing, fit, solve
 from bench.base.arrays import Floats
+from bench.history.intercomparison.crossed import Crossing, fit, solve
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,10 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one core
 import numpy as np
 
-from bench.analysis.diagnosis import ThresholdCache
-from bench.analysis.diagnosis.full import diagnose_fully
-from bench.files.bench.file import load_bench
-from bench.files.shipped import find_bench
+from bench.config.bench_file.file import load_bench
+from bench.config.shipped import find_bench
+from bench.diagnosis import ThresholdCache
+from bench.diagnosis.full import diagnose_fully
 from bench.model import ForwardModel
 from benchmarks.blind_trial.adapter import LOCAL_GRAVITY, STATED_BENCH
 from benchmarks.blind_trial.cases import Case, Row, make_case

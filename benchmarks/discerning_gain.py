@@ -15,20 +15,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.analysis.diagnosis.candidates import make_candidates
-from bench.analysis.diagnosis.evidence import Whitened
-from bench.analysis.diagnosis.linear import LinearSystem, make_linear
-from bench.analysis.diagnosis.naming import Found, name
-from bench.analysis.diagnosis.next_measurement import planned_readings
-from bench.analysis.diagnosis.noise_grid import make_noise_grid
-from bench.analysis.diagnosis.posterior import NoiseSize
-from bench.analysis.diagnosis.threshold import make_threshold
-from bench.analysis.diagnosis.visibility import EffectPart, Form, ReadingDesign
-from bench.files.bench.file import load_bench
-from bench.files.shipped import find_bench, find_procedure
+from bench.config.bench_file.file import load_bench
+from bench.config.procedure.load import load_procedure
+from bench.config.procedure.plan import Read
+from bench.config.shipped import find_bench, find_procedure
+from bench.diagnosis.candidates import make_candidates
+from bench.diagnosis.evidence import Whitened
+from bench.diagnosis.linear import LinearSystem, make_linear
+from bench.diagnosis.naming import Found, name
+from bench.diagnosis.next_measurement import planned_readings
+from bench.diagnosis.noise_grid import make_noise_grid
+from bench.diagnosis.posterior import NoiseSize
+from bench.diagnosis.threshold import make_threshold
+from bench.diagnosis.visibility import EffectPart, Form, ReadingDesign
 from bench.model import CATALOGUE, ForwardModel
-from bench.procedure.load import load_procedure
-from bench.procedure.plan import Read
 from bench.readings.table import UNORIENTED, VERIFICATION
 
 PROCEDURES = ("paper", "calibration", "discerning")

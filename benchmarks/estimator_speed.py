@@ -25,11 +25,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads
 import numpy as np
 from scipy.optimize import least_squares
 
-from bench.analysis.calibration import Noise, calibrate
-from bench.analysis.calibration.batch import calibrate_batch
-from bench.analysis.calibration.calibrate import first_guess
-from bench.analysis.calibration.design import make_problem
-from bench.analysis.calibration.gls import fit
+from bench.calibration import Noise, calibrate
+from bench.calibration.batch import calibrate_batch
+from bench.calibration.calibrate import first_guess
+from bench.calibration.design import make_problem
+from bench.calibration.gls import fit
 from bench.readings.table import Readings
 from benchmarks.signed_uncertainty import Calibrator
 from tests.support.honest_runs import MODEL, simulate_many

@@ -15,9 +15,9 @@ from unittest import mock
 import numpy as np
 import yaml
 
-import bench.assembly.served
+import bench.run.assembly.served
 from bench.cli.app import main as bench_command
-from bench.files.bench.file import BenchFile, load_bench
+from bench.config.bench_file.file import BenchFile, load_bench
 from bench.model import Conditions, ForwardModel, stand_errors
 from bench.run.folder import Run
 from sim.bench import OF_INSTRUMENT, SimulatedBench
@@ -212,7 +212,7 @@ class Watch:
 def watched(faults: Sequence[Fault]) -> Iterator[Watch]:
     """Within the context, a dry run has these faults."""
     watch = Watch(faults)
-    with mock.patch.object(bench.assembly.served, "SimulatedBench", watch):
+    with mock.patch.object(bench.run.assembly.served, "SimulatedBench", watch):
         yield watch
 
 

@@ -36,9 +36,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads
 import numpy as np
 from scipy import stats
 
-from bench.analysis.calibration.batch import calibrate_batch
-from bench.analysis.calibration.components import ASKED_P
-from bench.analysis.calibration.result import COVERAGE_FACTOR
+from bench.calibration.batch import calibrate_batch
+from bench.calibration.components import ASKED_P
+from bench.calibration.result import COVERAGE_FACTOR
 from bench.model.block import COEFFICIENTS
 from tests.support.honest_runs import (
     FEW,

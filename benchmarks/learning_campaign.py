@@ -27,10 +27,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads
 import numpy as np
 from scipy.stats import binomtest
 
-from bench.analysis.calibration.batch import Batch, calibrate_batch
-from bench.analysis.learning.body import run_fit
-from bench.analysis.learning.learn import learn
-from bench.analysis.learning.result import Learned, MeterRun, meter_differences
+from bench.calibration.batch import Batch, calibrate_batch
+from bench.history.learning.body import run_fit
+from bench.history.learning.learn import learn
+from bench.history.learning.result import Learned, MeterRun, meter_differences
 from bench.model import ForwardModel
 from bench.model.block import COEFFICIENTS
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2, Installation

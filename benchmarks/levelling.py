@@ -23,12 +23,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from scipy import stats
 
-from bench.analysis.calibration import calibrate
 from bench.base.arrays import Floats
+from bench.calibration import calibrate
+from bench.config.procedure.plan import Level as LevelStep
 from bench.model import ForwardModel
 from bench.model.block import COEFFICIENTS
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
-from bench.procedure.plan import Level as LevelStep
 from bench.readings.corrected import Seen, with_levels
 from bench.readings.table import make_readings
 from bench.run.levelling import Levelling

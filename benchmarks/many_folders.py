@@ -28,7 +28,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import ARCSEC, Floats
-from bench.files.shipped import find_bench
+from bench.config.shipped import find_bench
 from bench.model.block import COEFFICIENTS
 from benchmarks.certificate_desk import command
 from benchmarks.laboratory_truth import (

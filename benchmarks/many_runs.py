@@ -24,12 +24,12 @@ G_M_S2: Final = 9.81
 
 def measure(runs: int, blocks: bool) -> tuple[float, float, str]:
     """Return CPU time, s, peak of memory, MB, and the verdict, of a diagnosis in this very process."""
-    from bench.analysis.diagnosis import ThresholdCache
-    from bench.analysis.diagnosis.full import diagnose_fully
-    from bench.files.bench.file import load_bench
-    from bench.files.shipped import find_bench
+    from bench.config.bench_file.file import load_bench
+    from bench.config.shipped import find_bench
+    from bench.diagnosis import ThresholdCache
+    from bench.diagnosis.full import diagnose_fully
     from bench.model import ForwardModel
-    from bench.report.diagnosis.page import render_diagnosis
+    from bench.results.diagnosis.page import render_diagnosis
     from benchmarks.blind_trial.cases import Row, make_case
 
     case, _ = make_case(SEED, Row("single", rho=RHO, runs=runs, blocks=blocks), 0)

@@ -16,8 +16,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from bench.config.procedure.plan import Mount, Plan, Turn
 from bench.model import Installation
-from bench.procedure.plan import Mount, Plan, Turn
 from bench.run.watch.suppositions import orientations
 from drivers.interfaces import CHANNELS, Answer, Channel, Direction, Prompt
 from sim.world.operator import OperatorSettings, ScriptedOperator, scale_text

@@ -36,23 +36,23 @@ from unittest import mock
 import numpy as np
 from rich.console import Console
 
-from bench.analysis.calibration import CalibrationError
-from bench.api.calibration import calibration_of
-from bench.api.errors import Refused
-from bench.api.execution import carry_out, new_run
-from bench.api.source import Request, load_sources
-from bench.assembly.instruments import operator_of, world_of
 from bench.base.arrays import Floats
-from bench.files.bench.file import BenchFile, load_bench
+from bench.calibration import CalibrationError
+from bench.config.bench_file.file import BenchFile, load_bench
+from bench.config.procedure.load import load_procedure
+from bench.config.procedure.plan import Mount, Plan, Read, Turn, Wait
 from bench.model import ForwardModel
-from bench.procedure.load import load_procedure
-from bench.procedure.plan import Mount, Plan, Read, Turn, Wait
 from bench.readings.reading import Reading
+from bench.run.assembly.instruments import operator_of, world_of
 from bench.run.events import Event, EventType, Mounted, result_to_json
 from bench.run.folder import Run
 from bench.run.mounting import mount_prompt
 from bench.run.watch.early_warning import watcher_of
 from bench.run.watch.expectation import MOST_TOLD
+from bench.services.calibration import calibration_of
+from bench.services.errors import Refused
+from bench.services.execution import carry_out, new_run
+from bench.services.source import Request, load_sources
 from benchmarks.blind_trial.score import Share
 from benchmarks.mistaken_operator import KINDS, Mistake, MistakenOperator, draw, pass_of
 from drivers.interfaces import CHANNELS
@@ -257,7 +257,10 @@ def _carried_out(
     new = new_run(procedure, bench_name, runs, dry_run=True, seed=seed, name=name)
     make = partial(MistakenOperator, plan=plan, mistake=mistake)
     trouble = ""
-    with Path("/dev/null").open("w") as nowhere, mock.patch("bench.assembly.served.ScriptedOperator", make):
+    with (
+        Path("/dev/null").open("w") as nowhere,
+        mock.patch("bench.run.assembly.served.ScriptedOperator", make),
+    ):
         try:
             carry_out(Run(new.folder), new.record(), None, None, Console(file=nowhere))
         except Refused as why:

@@ -161,7 +161,7 @@ def _timed_run(
 def _carry_out(runs: Path, name: str, told: Any) -> None:
     from rich.console import Console
 
-    from bench.api.execution import carry_out, new_run
+    from bench.services.execution import carry_out, new_run
 
     new = new_run("paper", None, runs, dry_run=True, seed=1, name=name)
     record = new.record()

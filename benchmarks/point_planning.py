@@ -12,19 +12,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.analysis.budget.coefficients import make_budget
-from bench.analysis.budget.setup import Setup
-from bench.analysis.budget.sources import stand_source
-from bench.analysis.calibration.result import CalibrationError
-from bench.analysis.planning.optimal_design import Goal, coefficient_goals, vector_goal
-from bench.analysis.planning.points import Points, Sites, Times, best_within, cheapest
-from bench.analysis.planning.settings import Setting, conditions_of, fitted, settings_of
-from bench.analysis.planning.stand import Stand
 from bench.base.arrays import Floats
-from bench.files.bench.file import load_bench
-from bench.files.shipped import find_bench, find_procedure
+from bench.calibration.budget.coefficients import make_budget
+from bench.calibration.budget.setup import Setup
+from bench.calibration.budget.sources import stand_source
+from bench.calibration.result import CalibrationError
+from bench.config.bench_file.file import load_bench
+from bench.config.procedure.load import load_procedure
+from bench.config.shipped import find_bench, find_procedure
 from bench.model import Distribution, ForwardModel, Mounting
-from bench.procedure.load import load_procedure
+from bench.planning.optimal_design import Goal, coefficient_goals, vector_goal
+from bench.planning.points import Points, Sites, Times, best_within, cheapest
+from bench.planning.settings import Setting, conditions_of, fitted, settings_of
+from bench.planning.stand import Stand
 
 ANGLES = 24
 COUNTED = Times().cost(50.0, verified=False)

@@ -26,7 +26,7 @@ from unittest.mock import patch
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.procedure.plan import Mount, Read, Turn
+from bench.config.procedure.plan import Mount, Read, Turn
 from bench.readings.reading import Reading
 from bench.run.events import Mounted, Result, Turned, result_to_json
 from bench.run.samples import describe
@@ -50,7 +50,7 @@ STEPS_OF_A_PASS: Final = 18
 
 def make_record(runs: Path, events: int) -> Path:
     """Write a run that was interrupted after so many events, of which some steps are left; return its folder."""
-    from bench.api.execution import new_run
+    from bench.services.execution import new_run
 
     with tempfile.TemporaryDirectory() as name:
         file = Path(name) / "long.yaml"
@@ -89,7 +89,7 @@ def _write_events(folder: Path, append: Callable[..., object], events: int) -> N
 
 def _signals(folder: Path) -> dict[int, Floats]:
     """The signals of the stated block at the angles of a pass, V, by angle in degrees."""
-    from bench.files.bench.file import load_recorded_bench
+    from bench.config.bench_file.file import load_recorded_bench
     from bench.model import ForwardModel
     from bench.readings.table import make_readings
 
@@ -139,8 +139,6 @@ def bare(folder: Path) -> None:
 
 def started(folder: Path) -> None:
     """Import what going on with a run imports."""
-    import bench.api.execution
-    import bench.cli.resume  # noqa: F401
 
 
 def verified(folder: Path) -> None:

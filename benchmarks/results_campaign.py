@@ -203,7 +203,7 @@ def main() -> None:
     given = parser.parse_args()
     trials = draw(given.signals, given.seed)
     if given.plain:
-        mock.patch("bench.report.plots._written", return_value='<svg viewBox="0 0 1 1"></svg>').start()
+        mock.patch("bench.results.plots._written", return_value='<svg viewBox="0 0 1 1"></svg>').start()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         Program(folder, "run", "quick", "--dry-run", "--seed", "7", "--name", "base").wait()

@@ -12,7 +12,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from bench.procedure.plan import Mount, Plan, Read, Turn
+from bench.config.procedure.plan import Mount, Plan, Read, Turn
 from bench.run.record import Record
 from bench.run.runner import Runner
 from bench.run.workbench import Instruments

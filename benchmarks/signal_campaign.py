@@ -33,9 +33,9 @@ from typing import IO, Any, Final
 
 import yaml
 
-from bench.assembly.instruments import simulated_instruments, world_of
-from bench.files.bench.file import load_bench
+from bench.config.bench_file.file import load_bench
 from bench.model import ForwardModel
+from bench.run.assembly.instruments import simulated_instruments, world_of
 from bench.run.history import read_history
 from bench.run.interruptions import SIGNALS
 from bench.run.manifest import RecordError

@@ -32,17 +32,17 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from scipy import stats
 
-from bench.analysis.budget.sources import assumed_stand
-from bench.analysis.budget.whole import delta_g_covariance, sign
-from bench.analysis.calibration import calibrate
-from bench.analysis.calibration.result import Calibration, Noise
-from bench.analysis.history.comparison import Snapshot, compare
-from bench.api.face import load_bench
 from bench.base.arrays import Floats
-from bench.files.bench.stand import UncertaintySection
+from bench.calibration import calibrate
+from bench.calibration.budget.sources import assumed_stand
+from bench.calibration.budget.whole import delta_g_covariance, sign
+from bench.calibration.result import Calibration, Noise
+from bench.config.bench_file.stand import UncertaintySection
+from bench.history.comparison import Snapshot, compare
 from bench.model import ForwardModel
 from bench.model.block import COEFFICIENTS
 from bench.readings.table import VERIFICATION, Readings
+from bench.services.face import load_bench
 from tests.support.paper_bench import SETTING_U_RAD
 from tests.support.whole_truth import CASES, EVERYTHING, WANDERING, Bench, simulate_whole
 

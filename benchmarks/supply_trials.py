@@ -11,8 +11,8 @@ from unittest import mock
 
 import yaml
 
-import bench.assembly.served
 import bench.cli.run
+import bench.run.assembly.served
 from bench.run.folder import Run
 from benchmarks.fault_trials import ROOT, VALUE_V, command, exact
 from sim.bench import SimulatedBench
@@ -216,7 +216,7 @@ def watched(disturbance: Disturbance | None) -> Iterator[Watch]:
     """Within the context, a dry run has this disturbance, and is not evaluated."""
     watch = Watch(disturbance)
     with (
-        mock.patch.object(bench.assembly.served, "SimulatedBench", watch),
+        mock.patch.object(bench.run.assembly.served, "SimulatedBench", watch),
         mock.patch.object(bench.cli.run, "conclude", _no_page),
     ):
         yield watch

@@ -17,8 +17,8 @@ import sys
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads only get in each other's way
 import numpy as np
 
-from bench.analysis.tumble.view import TumbleView, tumble_view
 from bench.base.arrays import Floats
+from bench.calibration.tumble.view import TumbleView, tumble_view
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from tests.support.paper_bench import STAND_U

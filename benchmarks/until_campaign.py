@@ -5,7 +5,7 @@
     python -m benchmarks.until_campaign --runs 2500 --seed 3 --minutes 15
 
 Each run draws a size of the noise (a part of what the bench file states, `--noise`, equally often), a block
-near the paper's and a stand, and takes the readings that `bench.analysis.planning.until` chooses from the
+near the paper's and a stand, and takes the readings that `bench.planning.until` chooses from the
 paper's procedure, look by look, as `bench run --until` does; geometry and noise are not the application's.
 Stopping is by what a calibration of the readings so far states. Printed, for all and by noise: rms of z =
 (estimate - truth)/u over the twelve coefficients at the stop (wanted: 0.93 to 1.07) with its standard error
@@ -30,18 +30,18 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
-from bench.analysis.calibration import CalibrationError
-from bench.analysis.calibration.calibrate import calibrate
-from bench.analysis.calibration.noise import LEAST_REPEATS
-from bench.analysis.calibration.result import Calibration
-from bench.analysis.planning.until.choice import REACHED, Choice, Chooser, Standing, scale_of
-from bench.analysis.planning.until.design import Task, Visits
-from bench.analysis.planning.until.pool import Point, reached_by
-from bench.api.until import chooser_of
-from bench.files.bench.file import load_bench
-from bench.files.shipped import find_bench, find_procedure
-from bench.procedure.load import load_procedure
+from bench.calibration import CalibrationError
+from bench.calibration.calibrate import calibrate
+from bench.calibration.noise import LEAST_REPEATS
+from bench.calibration.result import Calibration
+from bench.config.bench_file.file import load_bench
+from bench.config.procedure.load import load_procedure
+from bench.config.shipped import find_bench, find_procedure
+from bench.planning.until.choice import REACHED, Choice, Chooser, Standing, scale_of
+from bench.planning.until.design import Task, Visits
+from bench.planning.until.pool import Point, reached_by
 from bench.readings.table import Readings, make_readings
+from bench.services.until import chooser_of
 from tests.support.paper_bench import U0, K, specific_force
 
 NOISES = (0.5, 0.7, 1.0, 1.2)

@@ -20,12 +20,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.analysis.calibration.batch import Batch, calibrate_batch
-from bench.analysis.calibration.noise import LEAST_REPEATS
-from bench.analysis.calibration.result import Noise
-from bench.analysis.planning.until.choice import Chooser, Standing
-from bench.analysis.planning.until.design import Visits
-from bench.analysis.planning.until.pool import Point
+from bench.calibration.batch import Batch, calibrate_batch
+from bench.calibration.noise import LEAST_REPEATS
+from bench.calibration.result import Noise
+from bench.planning.until.choice import Chooser, Standing
+from bench.planning.until.design import Visits
+from bench.planning.until.pool import Point
 from benchmarks.until_campaign import (
     MOUNT_RAD,
     NOISES,

@@ -33,8 +33,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.analysis.calibration import calibrate, verify
-from bench.analysis.calibration.conformity import SIMPLE, Population
+from bench.calibration import calibrate, verify
+from bench.calibration.conformity import SIMPLE, Population
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings

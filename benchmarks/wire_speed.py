@@ -27,10 +27,10 @@ PROMISE = 2.0
 
 def serve(pipe: Connection) -> None:
     """Serve one meter; send its port, and end when something comes back."""
-    from bench.assembly.served import served_bench
-    from bench.files.bench.file import load_bench
-    from bench.files.shipped import find_bench
+    from bench.config.bench_file.file import load_bench
+    from bench.config.shipped import find_bench
     from bench.model import ForwardModel
+    from bench.run.assembly.served import served_bench
 
     bench = load_bench(find_bench("paper-stand"))
     with served_bench(bench, ForwardModel(bench.installation_models()), 1, with_terminals=False) as serving:

@@ -70,11 +70,11 @@ def paper_run(empty_folder: None, dry_run_of_paper: Path) -> None:
 def no_figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where a test works by commands, leave the figures of pages empty: they cost more than all else.
 
-    Those of `tests/report` and the tests marked `figures` draw them.
+    Those of `tests/results` and the tests marked `figures` draw them.
     """
     if "bench" in request.fixturenames and request.node.get_closest_marker("figures") is None:
         # beneath what other modules import by name: one imported now would keep the empty one for ever
-        monkeypatch.setattr("bench.report.plots._written", lambda name, inches, draw: EMPTY_FIGURE)
+        monkeypatch.setattr("bench.results.plots._written", lambda name, inches, draw: EMPTY_FIGURE)
 
 
 EMPTY_FIGURE = '<svg viewBox="0 0 1 1"></svg>'

@@ -1,7 +1,7 @@
 """YAML files that people write: read with the line of every key, validated with all mistakes at once.
 
 Scalars keep the text that was written (`serial: 0012` stays "0012", `3e-4 g` a quantity); the models of
-`bench.files.bench.file` and others say what each must be.
+`bench.config.bench_file.file` and others say what each must be.
 """
 
 from __future__ import annotations

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from importlib import import_module
 from typing import Any, Final
 
-from bench.api.errors import Refused
 from bench.batch.job import Job, Row, program
 from bench.batch.processes import AHEAD, died_at
 from bench.batch.work import worked
+from bench.services.errors import Refused
 
 _PATIENCE: Final = "10s"
 _PATIENCE_WITH_WORKERS_S: Final = 60.0

@@ -8,15 +8,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from bench.analysis.calibration.estimators import GLS, find_estimator
-from bench.api.errors import Refused
-from bench.api.provenance import versions
-from bench.api.source import Request, check_gravity
-from bench.api.verification import Asked
-from bench.files.bench.file import load_bench
-from bench.files.shipped import find_bench
+from bench.calibration.estimators import GLS, find_estimator
+from bench.config.bench_file.file import load_bench
+from bench.config.shipped import find_bench
 from bench.model.block import COEFFICIENTS
 from bench.run.manifest import sha256
+from bench.services.errors import Refused
+from bench.services.provenance import versions
+from bench.services.source import Request, check_gravity
+from bench.services.verification import Asked
 
 CALIBRATE: Final = "calibrate"
 DIAGNOSE: Final = "diagnose"

@@ -14,9 +14,9 @@ from pathlib import Path
 from threading import Thread
 from typing import Any, Final
 
-from bench.api.errors import Refused
 from bench.base.computing import THREADS
 from bench.batch.job import DIAGNOSE, Job, Row
+from bench.services.errors import Refused
 
 AHEAD: Final = 2
 """Runs that a process has at hand: it need not wait for the next one."""

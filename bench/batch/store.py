@@ -14,7 +14,6 @@ from typing import Any, Final
 
 from filelock import FileLock, Timeout
 
-from bench.api.errors import Refused
 from bench.base.atomic_files import from_text, to_text
 from bench.base.computing import tracked
 from bench.base.files import read_regular
@@ -22,6 +21,7 @@ from bench.batch.job import COLUMNS, Job, Row, arrow_schema, program
 from bench.batch.stored import CALIBRATE_FILE, DIAGNOSE_FILE, VERIFY_FILE
 from bench.run.folder import BENCH, EFFECTS, IMPORTED, PLAN
 from bench.run.manifest import EVENTS, MANIFEST, sha256
+from bench.services.errors import Refused
 from drivers.clock import Clock, SystemClock, utc_now
 
 _QUESTION: Final = re.compile(r"[a-z][a-z_]*\s*(=|!=|>=|<=|>|<)")

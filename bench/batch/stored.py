@@ -9,13 +9,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.analysis.calibration.result import LACK_OF_FIT_P
-from bench.api.calibration import CalibrationResult
-from bench.api.verification import VerificationResult
 from bench.base.arrays import Floats
 from bench.base.files import read_json, read_regular
 from bench.batch.job import Row
+from bench.calibration.result import LACK_OF_FIT_P
 from bench.model.block import COEFFICIENTS
+from bench.services.calibration import CalibrationResult
+from bench.services.verification import VerificationResult
 
 CALIBRATE_FILE: Final = "calibrate.json"
 VERIFY_FILE: Final = "verify.json"

@@ -9,21 +9,21 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, Final
 
-from bench.analysis.diagnosis.full import TooLittleLeft
-from bench.api.calibration import CalibrationResult, calibration_of
-from bench.api.diagnosis import body_of, diagnosis_of
-from bench.api.documents import report_page
-from bench.api.explained import sentence
-from bench.api.free_diagnosis import free_diagnosis_of, free_sources
-from bench.api.source import Source, load_sources
-from bench.api.verification import VerificationResult, verification_of
 from bench.base.atomic_files import to_text, write_whole
 from bench.base.visible import visible
 from bench.batch.job import DIAGNOSE, REPORT, Job, Row
 from bench.batch.stored import Found, Judged, Named, Stored, changes, stored_calibration, stored_diagnosis
-from bench.files.formulas import effects_in
+from bench.config.formulas import effects_in
+from bench.diagnosis.full import TooLittleLeft
 from bench.model import CATALOGUE, Effect
 from bench.run.manifest import RecordError, read_manifest, sha256
+from bench.services.calibration import CalibrationResult, calibration_of
+from bench.services.diagnosis import body_of, diagnosis_of
+from bench.services.documents import report_page
+from bench.services.explained import sentence
+from bench.services.free_diagnosis import free_diagnosis_of, free_sources
+from bench.services.source import Source, load_sources
+from bench.services.verification import VerificationResult, verification_of
 
 _ONE_AT_A_TIME: Final = Lock()
 """A process computes one run at a time: which effects are known holds for all of it."""

@@ -13,7 +13,6 @@ from typing import Any, Final
 import numpy as np
 from sqlalchemy import ColumnElement, Select, and_, case, func, select
 
-from bench.api.errors import Refused
 from bench.base.arrays import u_of
 from bench.base.atomic_files import write_whole
 from bench.catalogue.questions import condition_of
@@ -30,6 +29,7 @@ from bench.catalogue.schema import (
 )
 from bench.catalogue.store import Catalogue
 from bench.model.block import COEFFICIENTS
+from bench.services.errors import Refused
 
 Condition = ColumnElement[bool]
 

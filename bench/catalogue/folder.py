@@ -14,20 +14,20 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.api.bench_selection import instrument_name
-from bench.api.coefficients import coefficients_of
-from bench.api.errors import Refused
 from bench.base.arrays import Floats
 from bench.base.files import read_json, read_regular
 from bench.base.forms import FileMistakes
 from bench.base.visible import visible
 from bench.catalogue.schema import key_of
 from bench.certificate.register import Register
-from bench.files.bench.file import BenchFile, load_recorded_bench
+from bench.config.bench_file.file import BenchFile, load_recorded_bench
 from bench.run.folder import BENCH, VERIFY, Run
 from bench.run.manifest import EVENTS, MANIFEST, Manifest, RecordError, read_manifest, sha256
 from bench.run.same_serial import NO_SERIAL
 from bench.run.states import RunState, state_after_one
+from bench.services.bench_selection import instrument_name
+from bench.services.coefficients import coefficients_of
+from bench.services.errors import Refused
 
 Row = dict[str, Any]
 

@@ -18,7 +18,6 @@ from typing import Any, Final
 
 from sqlalchemy import ColumnElement, Table, and_, exists, func, not_, or_, select, true
 
-from bench.api.errors import Refused
 from bench.base.numbers import read_number
 from bench.catalogue.schema import (
     CALIBRATIONS,
@@ -31,6 +30,7 @@ from bench.catalogue.schema import (
     VERIFICATIONS,
 )
 from bench.catalogue.store import Catalogue
+from bench.services.errors import Refused
 
 Condition = ColumnElement[bool]
 Build = Callable[[str, str], Condition]

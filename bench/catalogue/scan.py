@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Final
 
-from bench.api.errors import Refused
 from bench.run.folder import PLAN
 from bench.run.manifest import EVENTS, MANIFEST
+from bench.services.errors import Refused
 
 MOST_DEEP: Final = 12
 SETTLED_NS: Final = 2_000_000_000

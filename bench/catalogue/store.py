@@ -14,8 +14,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final
 
-from bench.api.errors import Refused
 from bench.base.files import cache_folder
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection, Engine

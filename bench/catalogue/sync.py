@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from sqlalchemy import delete, select, update
 
-from bench.api.errors import Refused
 from bench.base.computing import tracked
 from bench.base.visible import visible
 from bench.catalogue.folder import Found, Row, issued_in, read_folder
@@ -29,6 +28,7 @@ from bench.catalogue.schema import CERTIFICATES, FOLDERS, INSTRUMENTS, ISSUED, O
 from bench.catalogue.store import Catalogue
 from bench.catalogue.unit import forget_dues
 from bench.run.manifest import MANIFEST
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection, Table

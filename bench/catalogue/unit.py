@@ -14,19 +14,19 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from sqlalchemy import delete, insert, select
 
-from bench.analysis.calibration.conformity import COVERAGE_FACTOR
-from bench.analysis.calibration.result import CalibrationError
-from bench.analysis.history.drift import Due, due
-from bench.api.errors import Refused
 from bench.base.arrays import Mask, u_of
 from bench.base.computing import tracked
+from bench.calibration.conformity import COVERAGE_FACTOR
+from bench.calibration.result import CalibrationError
 from bench.catalogue.answers import Answer, answer
 from bench.catalogue.questions import condition_of
 from bench.catalogue.scan import pool_of
 from bench.catalogue.schema import DUES, FOLDERS, RUNS, VERIFICATIONS
 from bench.catalogue.store import Catalogue, open_catalogue
 from bench.catalogue.values import CoefficientTable, coefficient_table
+from bench.history.drift import Due, due
 from bench.model.block import COEFFICIENTS
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     from sqlalchemy import ColumnElement, Connection

@@ -11,9 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import and_, func, select
 
-from bench.analysis.calibration.result import CalibrationError
-from bench.analysis.history.comparison import Joint, Snapshot, joint_covariances, joint_of
-from bench.analysis.intercomparison.equivalence import (
+from bench.base.arrays import Floats, Mask, u_of
+from bench.calibration.result import CalibrationError
+from bench.catalogue.questions import condition_of
+from bench.catalogue.schema import CALIBRATIONS, RUNS
+from bench.catalogue.store import Catalogue
+from bench.history.comparison import Joint, Snapshot, joint_covariances, joint_of
+from bench.history.intercomparison.equivalence import (
     Equivalence,
     Pair,
     Participants,
@@ -22,14 +26,10 @@ from bench.analysis.intercomparison.equivalence import (
     pairs,
     together,
 )
-from bench.analysis.intercomparison.measured import STANDARD_GRAVITY, Measured, coded, to_standard_gravity
-from bench.api.coefficients import snapshots_in
-from bench.api.errors import Refused
-from bench.base.arrays import Floats, Mask, u_of
-from bench.catalogue.questions import condition_of
-from bench.catalogue.schema import CALIBRATIONS, RUNS
-from bench.catalogue.store import Catalogue
+from bench.history.intercomparison.measured import STANDARD_GRAVITY, Measured, coded, to_standard_gravity
 from bench.model.block import COEFFICIENTS
+from bench.services.coefficients import snapshots_in
+from bench.services.errors import Refused
 
 Texts = NDArray[np.object_]
 """Texts, None where nothing was recorded."""

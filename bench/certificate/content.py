@@ -12,8 +12,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
-from bench.analysis.calibration import Verification
-from bench.analysis.calibration.conformity import (
+from bench.base.arrays import Floats, u_of
+from bench.calibration import Verification
+from bench.calibration.conformity import (
     FALSE_ACCEPTANCE,
     GUARDED,
     NON_BINARY,
@@ -21,13 +22,12 @@ from bench.analysis.calibration.conformity import (
     DecisionRule,
     Statement,
 )
-from bench.analysis.calibration.verification import by_rule
-from bench.api.calibration import CalibrationResult
-from bench.api.verification import VerificationResult
-from bench.base.arrays import Floats, u_of
+from bench.calibration.verification import by_rule
 from bench.certificate.laboratory import Laboratory, Order, Person, UnitOrder
 from bench.certificate.texts import Texts
-from bench.devices.certificates import Certificate as Held
+from bench.config.devices.certificates import Certificate as Held
+from bench.services.calibration import CalibrationResult
+from bench.services.verification import VerificationResult
 
 FORMULA: Final = "U = K a + U0, a = N (U - U0), N = K^-1, delta_g = |a| - 1"
 """The model as text: U (3) the signals, a (3) the specific force in local g, +1 on an axis that points up."""

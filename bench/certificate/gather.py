@@ -12,20 +12,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.analysis.budget.sources import hidden_sources
-from bench.analysis.budget.whole import dof_through
-from bench.analysis.calibration.conformity import DecisionRule
-from bench.analysis.calibration.derived import INVERSE, MISALIGNMENTS
-from bench.analysis.calibration.verification import global_risk_in_words
-from bench.api.bench_selection import origin_beside
-from bench.api.calibration import CalibrationResult, calibration_of, coefficient_unit
-from bench.api.errors import Refused
-from bench.api.provenance import record_head
-from bench.api.source import Request, Source, load_sources
-from bench.api.verification import NOTHING_ASKED, Asked, VerificationResult, verification_of
 from bench.base.arrays import u_of
 from bench.base.atomic_files import to_text
 from bench.base.visible import visible
+from bench.calibration.budget.sources import hidden_sources
+from bench.calibration.budget.whole import dof_through
+from bench.calibration.conformity import DecisionRule
+from bench.calibration.derived import INVERSE, MISALIGNMENTS
+from bench.calibration.verification import global_risk_in_words
 from bench.certificate.content import (
     Certificate,
     Condition,
@@ -48,6 +42,12 @@ from bench.readings.table import CHAMBER_C, TEMPERATURE_SOURCE, VERIFICATION, Re
 from bench.run.folder import IMPORTED, Run
 from bench.run.seal import read_seal, seal_of
 from bench.run.states import ENDED
+from bench.services.bench_selection import origin_beside
+from bench.services.calibration import CalibrationResult, calibration_of, coefficient_unit
+from bench.services.errors import Refused
+from bench.services.provenance import record_head
+from bench.services.source import Request, Source, load_sources
+from bench.services.verification import NOTHING_ASKED, Asked, VerificationResult, verification_of
 
 _FIRST_LANGUAGE: Final = "en"
 

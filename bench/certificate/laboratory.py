@@ -12,8 +12,8 @@ from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model
 from bench.base.forms import Document, FileModel, load_document, load_validated, part, validated
 from bench.base.yaml_text import Place, unknown_word
 from bench.certificate.texts import LANGUAGES, texts_of
-from bench.devices.certificates import Day
-from bench.files.bench.stand import StatedRule
+from bench.config.bench_file.stand import StatedRule
+from bench.config.devices.certificates import Day
 
 SIMULATED_SERIES: Final = "SIM-"
 """What the numbers of simulated runs begin with, and those of no others."""

@@ -11,8 +11,6 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.api.errors import Refused
-from bench.api.explained import sentence
 from bench.base.atomic_files import write_whole
 from bench.base.files import read_json, read_regular
 from bench.base.forms import Document, load_document, validated
@@ -20,6 +18,8 @@ from bench.certificate.content import Before, Certificate, Issue
 from bench.certificate.gather import certificate_of, issued_at, missing
 from bench.certificate.laboratory import Laboratory, Order, Person, laboratory_of
 from bench.certificate.register import ISSUED, REVOKED, Entry, Register, Standing, opened
+from bench.services.errors import Refused
+from bench.services.explained import sentence
 
 if TYPE_CHECKING:
     from bench.certificate.dcc.rules import Schemas

@@ -18,9 +18,9 @@ from typing import Any, Final
 
 from filelock import FileLock, Timeout
 
-from bench.api.errors import Refused
 from bench.base.atomic_files import write_whole
 from bench.base.files import open_regular, read_json, read_regular
+from bench.services.errors import Refused
 
 LINES: Final = "register.jsonl"
 MADE_FROM: Final = "made-from"

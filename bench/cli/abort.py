@@ -9,8 +9,8 @@ from bench.cli.options import RUNS, LatestRun, RunsOption, app
 @app.command(epilog="Example: bench abort unit-17")
 def abort(name: LatestRun = None, runs: RunsOption = RUNS) -> int:
     """End an interrupted run for good; its record is kept."""
-    from bench.api.left_runs import give_up, unfinished_run
     from bench.run.control import at_the_shell
+    from bench.services.left_runs import give_up, unfinished_run
 
     found = unfinished_run(name, runs)
     left = give_up(found, at_the_shell("command"))

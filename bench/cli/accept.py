@@ -37,7 +37,7 @@ def accept(
     ] = None,
 ) -> int:
     """Give terms without a name, which a diagnosis found, a name and a sentence."""
-    from bench.api.own_effects import accept_terms
+    from bench.services.own_effects import accept_terms
 
     written = accept_terms(model, name, sentence, terms=term or (), shown_by=shown_by, out=out)
     told = console()

@@ -9,11 +9,11 @@ from typing import Annotated
 
 import typer
 
-from bench.api.errors import Refused
 from bench.base import computing
 from bench.base.visible import bounded, visible
 from bench.cli.commands import COMMANDS
 from bench.cli.options import app
+from bench.services.errors import Refused
 
 DONE, NOT_DONE = 0, 2
 ANYWHERE = ("--debug", "--quiet")
@@ -79,7 +79,7 @@ def _command_in(given: list[str]) -> str:
 
 def explain(error: Exception, command: str = "bench") -> str:
     """Return the sentence for an error; one that nobody foresaw names the command, and how to see more."""
-    from bench.api.explained import expected, kind_and_words, sentence
+    from bench.services.explained import expected, kind_and_words, sentence
 
     if isinstance(error, typer.TyperException):
         return error.format_message()  # with the option's name

@@ -194,7 +194,7 @@ def _text(path: Path | None) -> str | None:
 
 
 def _effects() -> tuple[str, ...]:
-    from bench.files.formulas import files_of_environment
+    from bench.config.formulas import files_of_environment
 
     return tuple(files_of_environment())
 

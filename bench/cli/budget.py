@@ -26,7 +26,7 @@ from bench.cli.options import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bench.api.budget import BudgetResult
+    from bench.services.budget import BudgetResult
 
 CoefficientsOption = Annotated[
     Path | None,
@@ -66,8 +66,8 @@ def budget(
     """
     printing.check_target(json)
     with progress.shown():
-        from bench.api import budget as api
-        from bench.api.bench_selection import find_bench_file
+        from bench.services import budget as api
+        from bench.services.bench_selection import find_bench_file
 
         taken = find_bench_file(bench)
         found = api.budget(
@@ -94,7 +94,7 @@ def budget(
 
 def _write_page(folder: Path, found: BudgetResult, out: Console) -> None:
     """Write the page and its figures. Raises `OSError`."""
-    from bench.report.budget import figures
+    from bench.results.budget import figures
 
     folder.mkdir(parents=True, exist_ok=True)
     page = folder / "budget.html"

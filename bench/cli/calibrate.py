@@ -54,10 +54,10 @@ def calibrate(
     runs: RunsOption = RUNS,
 ) -> int:
     """Coefficients with uncertainty from runs or readings files; exit status 1 where they do not fit."""
-    from bench.analysis.calibration.estimators import GLS, find_estimator
-    from bench.api.calibration import calibration_of
-    from bench.api.each import done, each, load_each
-    from bench.api.source import Request
+    from bench.calibration.estimators import GLS, find_estimator
+    from bench.services.calibration import calibration_of
+    from bench.services.each import done, each, load_each
+    from bench.services.source import Request
 
     printing.check_target(json)
     loaded = load_each(Request(sources, runs, bench, model, g, out, skip_bad_rows))

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from bench.api.errors import Refused
 from bench.cli import printing
 from bench.cli.options import JsonOption
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     from bench.catalogue.answers import Answer
@@ -169,7 +169,7 @@ def unit(
     if json != "-":
         _print_unit(told, on)
     if page is not None:
-        from bench.report.unit import render_unit
+        from bench.results.unit import render_unit
 
         write_whole(page, render_unit(told))
         printing.written("page", page, on)
@@ -264,7 +264,7 @@ def _days(interval: float | None) -> float | None:
 
 
 def _print_unit(told: Any, on: Any) -> None:
-    from bench.report.unit import coefficient_rows
+    from bench.results.unit import coefficient_rows
 
     made = f"{len(told['runs'])} runs, {len(told['calibrations'])} calibrations compared"
     on.print(f"{told['unit']}: {made}{', SIMULATED' if told['simulated'] else ''}", style="bold")

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 from typer.core import TyperGroup
 
-from bench.api.errors import Refused
 from bench.cli import completing, printing
 from bench.cli.options import RUNS, JsonOption, RunsOption
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     from bench.certificate.life import Desk, Outcome
@@ -290,10 +290,10 @@ def read(
     json: JsonOption = None,
 ) -> int:
     """Take coefficients with covariance out of a certificate; of an instrument's, print it for the bench file."""
-    from bench.api.source import check_gravity
     from bench.base.atomic_files import to_text, write_whole
     from bench.base.units import VOLTAGE, parse_quantity
     from bench.certificate.dcc.reading import coefficients_in, document_in, has_coefficients, section_of
+    from bench.services.source import check_gravity
 
     printing.check_target(json)
     check_gravity(g)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.analysis.control_charts.chart import ControlChart
-    from bench.api.check_block import CheckBlockChart
+    from bench.history.control_charts.chart import ControlChart
+    from bench.services.check_block import CheckBlockChart
 
 LAST_ROWS = 12
 
@@ -52,8 +52,8 @@ def chart(
     runs: RunsOption = RUNS,
 ) -> int:
     """Control charts of the check block (Shewhart, EWMA); exit status 1 unless its last run is in control."""
-    from bench.api.check_block import chart_of, with_options
-    from bench.api.check_runs import charted_runs
+    from bench.services.check_block import chart_of, with_options
+    from bench.services.check_runs import charted_runs
 
     printing.check_target(json)
     taken = charted_runs(sources or [str(runs)], runs, bench, real=real)
@@ -63,7 +63,7 @@ def chart(
     print_chart(found, out)
     if page is not None:
         from bench.base.atomic_files import write_whole
-        from bench.report.control_chart import ChartOfBlock, render_chart
+        from bench.results.control_chart import ChartOfBlock, render_chart
 
         of = ChartOfBlock(
             found.chart, found.block, found.unit, found.simulated, found.notes, found.sentence()

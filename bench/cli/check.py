@@ -22,8 +22,8 @@ from bench.cli.options import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bench.analysis.planning.settings import Outlook
-    from bench.api.until import Findings
+    from bench.planning.settings import Outlook
+    from bench.services.until import Findings
 
 _WAYS_LISTED: Final = 2
 
@@ -43,7 +43,7 @@ def check(
     runs: RunsOption = RUNS,
 ) -> int:
     """Validate a procedure against a bench and print steps, time and operator actions; touch no instrument."""
-    from bench.api.until import look_ahead
+    from bench.services.until import look_ahead
 
     found = look_ahead(procedure, bench, runs, until or ())
     printing.write_json([found.to_json()], json)
@@ -59,10 +59,10 @@ def check(
 
 
 def _print(found: Findings, *, every_step: bool) -> None:
-    from bench.api.until import disk_space, outlook_in_words
-    from bench.procedure.check import switched_before
-    from bench.procedure.listing import listing
+    from bench.config.procedure.check import switched_before
+    from bench.config.procedure.listing import listing
     from bench.run.sentences import duration
+    from bench.services.until import disk_space, outlook_in_words
 
     out = printing.console()
     plan, bench = found.plan, found.bench

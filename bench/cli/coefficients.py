@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.api.documents import Given
     from bench.base.arrays import Floats
     from bench.exchange.result import BlockResult, Row
+    from bench.services.documents import Given
 
 
 @app.command(epilog="Example: bench coefficients unit-17 --as c --as px4")
@@ -62,8 +62,8 @@ def coefficients(
     runs: RunsOption = RUNS,
 ) -> int:
     """What a computer takes: N = K⁻¹, misalignments; as JSON, CSV, C, Excel, for Kalibr, PX4, ArduPilot."""
-    from bench.api.documents import forms_of, nominal_of, results_of
-    from bench.api.source import Request
+    from bench.services.documents import forms_of, nominal_of, results_of
+    from bench.services.source import Request
 
     printing.check_target(json)
     asked = forms_of(forms or ["json"])

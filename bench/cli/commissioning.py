@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from bench.api.errors import Refused
 from bench.cli import printing
+from bench.services.errors import Refused
 
 
 def commission_bench(
@@ -16,13 +16,13 @@ def commission_bench(
 
     Raises `Refused` without a person or a folder, `FileMistakes`.
     """
-    from bench.api.bench_selection import bench_path
-    from bench.api.instruments import PAGE, Setting, commission, free_folder
     from bench.base.visible import visible
-    from bench.commission.session import WISHES
-    from bench.files.bench.file import load_bench
-    from bench.report.commissioning import VERDICTS
+    from bench.config.bench_file.file import load_bench
+    from bench.results.commissioning import VERDICTS
+    from bench.run.commission.session import WISHES
     from bench.run.terminal import TerminalPerson
+    from bench.services.bench_selection import bench_path
+    from bench.services.instruments import PAGE, Setting, commission, free_folder
     from drivers.clock import utc_now
 
     if not dry_run and not sys.stdin.isatty():

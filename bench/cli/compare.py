@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bench.api.errors import Refused
 from bench.base.numbers import fixed, places, probability
 from bench.cli import printing
 from bench.cli.options import (
@@ -22,13 +21,14 @@ from bench.cli.options import (
     SkipOption,
     app,
 )
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.analysis.history.comparison import Changes, Comparison, Drift, Snapshot
-    from bench.api.source import Request
+    from bench.history.comparison import Changes, Comparison, Drift, Snapshot
+    from bench.services.source import Request
 
 
 @app.command(epilog="Example: bench compare 2025.json 2026.json unit-17 --strict")
@@ -52,8 +52,8 @@ def compare(
     runs: RunsOption = RUNS,
 ) -> int:
     """What changed between calibrations of one block: E_n, a joint test, drift."""
-    from bench.analysis.history import comparison
-    from bench.api.source import Request
+    from bench.history import comparison
+    from bench.services.source import Request
 
     printing.check_target(json)
     request = Request(sources, runs, bench, None, g, out, skip_bad_rows)
@@ -76,11 +76,11 @@ def _snapshots(name: str, request: Request, taken: list[dict[str, str]], json: s
 
     Which bench file is taken for readings is said, and added to `taken`.
     """
-    from bench.analysis.history.comparison import Snapshot
-    from bench.api.calibration import calibration_of
-    from bench.api.coefficients import date_of, snapshots_in
-    from bench.api.source import load_sources
+    from bench.history.comparison import Snapshot
     from bench.run.manifest import MANIFEST
+    from bench.services.calibration import calibration_of
+    from bench.services.coefficients import date_of, snapshots_in
+    from bench.services.source import load_sources
 
     path = Path(name)
     if path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST:
@@ -108,7 +108,7 @@ def _snapshots(name: str, request: Request, taken: list[dict[str, str]], json: s
 
 
 def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
-    from bench.api.coefficients import date_of
+    from bench.services.coefficients import date_of
 
     if len(dates) != len(snapshots):
         raise Refused(
@@ -192,7 +192,7 @@ def _drift_table(drift: Drift) -> Table:
 
 def _write(folder: Path, result: Comparison, written: dict[str, Any], out: Console) -> None:
     from bench.base.atomic_files import to_text, write_whole
-    from bench.report.figures import history_figure
+    from bench.results.figures import history_figure
 
     folder.mkdir(parents=True, exist_ok=True)
     for what, name, text in (

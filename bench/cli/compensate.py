@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bench.api.errors import Refused
 from bench.base.numbers import fixed, places, scale_for
 from bench.cli import printing
 from bench.cli.options import (
@@ -23,15 +22,16 @@ from bench.cli.options import (
     StrictFitOption,
     app,
 )
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.analysis.calibration import Verification
-    from bench.analysis.temperature.model import TemperatureModel
-    from bench.analysis.temperature.table import CompensationTable
-    from bench.api.source import Source
+    from bench.calibration import Verification
+    from bench.calibration.temperature.model import TemperatureModel
+    from bench.calibration.temperature.table import CompensationTable
+    from bench.services.source import Source
 
 HYSTERESIS_P = 0.05
 
@@ -57,11 +57,11 @@ def compensate(
     runs: RunsOption = RUNS,
 ) -> int:
     """Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board."""
-    from bench.analysis.calibration.verification import verdict_line
-    from bench.analysis.temperature.estimate import temperature_model
-    from bench.analysis.temperature.table import make_table, table_json
-    from bench.api.compensation import sign_model
-    from bench.api.source import Request, load_sources
+    from bench.calibration.temperature.estimate import temperature_model
+    from bench.calibration.temperature.table import make_table, table_json
+    from bench.calibration.verification import verdict_line
+    from bench.services.compensation import sign_model
+    from bench.services.source import Request, load_sources
 
     printing.check_target(json)
     loaded = load_sources(Request(sources, runs, bench, None, g, out, skip_bad_rows))
@@ -116,8 +116,8 @@ def _verified(source: Source, model: TemperatureModel) -> list[tuple[float, Veri
     """Judge the verification points of a source, each at its own temperature; those within the range only."""
     import numpy as np
 
-    from bench.analysis.calibration import verify
-    from bench.api.verification import own_judgement
+    from bench.calibration import verify
+    from bench.services.verification import own_judgement
 
     rows = source.readings.verification()
     known = np.isfinite(rows.temperature_c) & ~model.outside(rows.temperature_c)
@@ -144,8 +144,8 @@ def _verified(source: Source, model: TemperatureModel) -> list[tuple[float, Veri
 def _write(
     source: Source, model: TemperatureModel, table: CompensationTable, result: dict[str, Any]
 ) -> dict[str, Path]:
-    from bench.analysis.temperature.table import c_header, table_csv
     from bench.base.atomic_files import to_text
+    from bench.calibration.temperature.table import c_header, table_csv
 
     unit = source.bench.unit_under_test
     of = f"{unit.type} {unit.serial}".strip() + f", from {source.name}"

@@ -24,20 +24,20 @@ def sources(ctx: typer.Context, incomplete: str) -> list[str]:
 
 def procedures(incomplete: str) -> list[str]:
     """Return the shipped procedures, and the files that may be one."""
-    from bench.files.shipped import PROCEDURES
+    from bench.config.shipped import PROCEDURES
 
     return [*_shipped(incomplete, PROCEDURES), *_files(incomplete, ".yaml")]
 
 
 def bench_files(incomplete: str) -> list[str]:
     """Return the shipped bench files, and the files that may be one."""
-    from bench.files.shipped import CONFIG
+    from bench.config.shipped import CONFIG
 
     return [*_shipped(incomplete, CONFIG), *_files(incomplete, ".yaml")]
 
 
 def _shipped(incomplete: str, kind: str) -> list[str]:
-    from bench.files.shipped import shipped_folder
+    from bench.config.shipped import shipped_folder
 
     return _beginning(incomplete, (file.stem for file in shipped_folder(kind).glob("*.yaml")))
 

@@ -32,8 +32,8 @@ def confirm(
 ) -> int:
     """New readings with and without a model: how far it closes the gap; exit status 1 unless confirmed."""
     one_thread()
-    from bench.api.confirmation import confirmation_of
-    from bench.api.source import Request, load_sources
+    from bench.services.confirmation import confirmation_of
+    from bench.services.source import Request, load_sources
 
     printing.check_target(json)
     loaded = load_sources(Request([source], runs, bench, model, g, None, skip_bad_rows))

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from bench.api.errors import Refused
 from bench.cli import printing
 from bench.cli.options import RUNS, RunArgument, RunsOption, app
+from bench.services.errors import Refused
 
 
 @app.command(epilog='Example: bench control unit-17 skip "the cable came loose"')

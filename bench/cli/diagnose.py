@@ -31,12 +31,12 @@ from bench.cli.options import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bench.analysis.diagnosis.full import FullDiagnosis, TooLittleLeft
-    from bench.analysis.mistakes.search import Mistake
-    from bench.api.diagnosis import Body
-    from bench.api.each import Failed
-    from bench.api.source import Request, Source
+    from bench.diagnosis.full import FullDiagnosis, TooLittleLeft
+    from bench.diagnosis.mistakes.search import Mistake
     from bench.readings.table import Readings
+    from bench.services.diagnosis import Body
+    from bench.services.each import Failed
+    from bench.services.source import Request, Source
 
 
 @app.command(epilog="Example: bench diagnose unit-17 --json diagnosis.json")
@@ -76,11 +76,11 @@ def diagnose(
 ) -> int:
     """Where readings and model disagree: name the missing effect, add it, show the gap shrink."""
     one_thread()
-    from bench.analysis.diagnosis.full import TooLittleLeft
-    from bench.api.each import done, load_each
-    from bench.api.free_diagnosis import free_sources
-    from bench.api.source import Request, load_sources
     from bench.cli.free import diagnosed_free
+    from bench.diagnosis.full import TooLittleLeft
+    from bench.services.each import done, load_each
+    from bench.services.free_diagnosis import free_sources
+    from bench.services.source import Request, load_sources
 
     printing.check_target(json)
     request = Request(sources, runs, bench, model, g, out, skip_bad_rows)
@@ -114,8 +114,8 @@ def diagnose(
 
 def told(found: TooLittleLeft, source: Source, target: str | None) -> None:
     """Print and write mistakes that leave too little to fit anything, and what they leave."""
-    from bench.api.diagnosis import body_of
-    from bench.report.diagnosis.terminal import print_mistakes
+    from bench.results.diagnosis.terminal import print_mistakes
+    from bench.services.diagnosis import body_of
 
     found.copy = _written_copy(body_of([source]), found.mistakes, found.corrected)
     printing.write_json([found.to_dict(source.name)], target)
@@ -136,10 +136,10 @@ def diagnosed(
 
     `loaded` are the sources where they have been read already.
     """
-    from bench.api.diagnosis import body_of
-    from bench.api.each import Failed, done
-    from bench.api.own_effects import knowing_effects_of
-    from bench.api.source import check_places, load_sources
+    from bench.services.diagnosis import body_of
+    from bench.services.each import Failed, done
+    from bench.services.own_effects import knowing_effects_of
+    from bench.services.source import check_places, load_sources
 
     printing.check_target(target)
     check_places(request)
@@ -166,7 +166,7 @@ def diagnosed(
 
 
 def _print(results: list[FullDiagnosis], out: Console, *, alone: bool) -> None:
-    from bench.report.diagnosis.terminal import print_one, print_several
+    from bench.results.diagnosis.terminal import print_one, print_several
 
     if alone:
         print_one(results[0], out)
@@ -194,11 +194,11 @@ def _side_by_side(request: Request, *, accept_first: bool, report: bool) -> Iter
 def _one_of_several(
     request: Request, name: str, *, accept_first: bool, report: bool
 ) -> FullDiagnosis | Failed:
-    from bench.api.diagnosis import body_of
-    from bench.api.each import attempted
-    from bench.api.source import load_sources
-    from bench.files.formulas import effects_in, files_of_environment
+    from bench.config.formulas import effects_in, files_of_environment
     from bench.model import CATALOGUE
+    from bench.services.diagnosis import body_of
+    from bench.services.each import attempted
+    from bench.services.source import load_sources
 
     def work() -> FullDiagnosis:
         body = body_of(load_sources(replace(request, sources=[name])))
@@ -213,7 +213,7 @@ def _one_of_several(
 
 def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> FullDiagnosis:
     """Diagnose a body of readings and write what is asked for, the procedure to carry out next in any case."""
-    from bench.api.diagnosis import diagnosis_of
+    from bench.services.diagnosis import diagnosis_of
 
     full = diagnosis_of(body.source, body.nominal)
     mistakes = full.diagnosis.mistakes
@@ -251,8 +251,8 @@ def _written_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings) 
 def _written_model(body: Body, full: FullDiagnosis) -> Path | None:
     """Write the model with what was found; None where it cannot be written or nothing was added."""
     from bench.base.forms import FileMistakes
-    from bench.files.model import load_model, write_model_file
-    from bench.report.diagnosis.words import evidence_in_words
+    from bench.config.model_file import load_model, write_model_file
+    from bench.results.diagnosis.words import evidence_in_words
 
     source, after = body.source, full.shown.after
     if after is None:
@@ -302,7 +302,7 @@ def unused(path: Path) -> Iterator[Path]:
 
 def _written_report(body: Body, full: FullDiagnosis) -> Path | None:
     """Write the page; None where it cannot be written beside the source and nobody said where else."""
-    from bench.api.diagnosis import diagnosis_page
+    from bench.services.diagnosis import diagnosis_page
 
     source, file = body.source, body.output(".html")
     asked = source.request.out is not None

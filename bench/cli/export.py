@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from bench.api.errors import Refused
 from bench.cli import printing
 from bench.cli.options import RUNS, RunArgument, RunsOption, app
+from bench.services.errors import Refused
 
 
 @app.command(epilog="Example: bench export unit-17 --csv readings.csv")
@@ -20,10 +20,10 @@ def export(
     runs: RunsOption = RUNS,
 ) -> int:
     """Write the readings of a run as a readings file."""
-    from bench.api.bench_selection import SUFFIX, is_told
-    from bench.api.source import Request, load_sources
     from bench.base.atomic_files import write_whole
     from bench.readings.csv import format_csv
+    from bench.services.bench_selection import SUFFIX, is_told
+    from bench.services.source import Request, load_sources
 
     (source,) = load_sources(Request([run], runs))
     text = format_csv(source.as_read)

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from bench.api.errors import Refused
 from bench.cli import printing
 from bench.cli.options import JsonOption, OutOption
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bench.analysis.intercomparison.measured import Measured
     from bench.catalogue.values import CoefficientTable, Compared
+    from bench.history.intercomparison.measured import Measured
 
 GROUP: Final = typer.Typer(
     name="fleet",
@@ -42,8 +42,8 @@ CatalogueOption = Annotated[
 @GROUP.command(epilog="Example: bench fleet effects type='block A' simulated=no --json effects.json")
 def effects(query: Query = None, catalogue: CatalogueOption = None, json: JsonOption = None) -> int:
     """Is it the bench or the block: sizes of what units, benches and time bring, and who stands out."""
-    from bench.analysis.intercomparison.bench_or_block import bench_or_block
     from bench.cli import fleet_tables
+    from bench.history.intercomparison.bench_or_block import bench_or_block
 
     printing.check_target(json)
     measured, notes = _measured(query, catalogue)
@@ -107,8 +107,8 @@ def prior(
     json: JsonOption = None,
 ) -> int:
     """What the units of a type tell of a further one, as a file for 'bench calibrate --prior'."""
-    from bench.analysis.intercomparison.prior import prior_of
     from bench.cli import fleet_tables
+    from bench.history.intercomparison.prior import prior_of
 
     printing.check_target(json)
     measured, notes = _measured(query, catalogue)
@@ -140,9 +140,9 @@ def drift(
     """What a unit's history tells of its drift, and what its coefficients will be."""
     import numpy as np
 
-    from bench.analysis.history.drift import unit_drift
-    from bench.analysis.intercomparison.measured import STANDARD_GRAVITY
     from bench.cli import fleet_tables
+    from bench.history.drift import unit_drift
+    from bench.history.intercomparison.measured import STANDARD_GRAVITY
 
     printing.check_target(json)
     date = None if at is None else _date(at)
@@ -182,8 +182,8 @@ def cmc(
     json: JsonOption = None,
 ) -> int:
     """The laboratory's calibration and measurement capability, from its history (ILAC-P14)."""
-    from bench.analysis.intercomparison.capability import capability
     from bench.cli import fleet_tables
+    from bench.history.intercomparison.capability import capability
 
     printing.check_target(json)
     measured, notes = _measured(query, catalogue)
@@ -214,7 +214,7 @@ def _measured(query: list[str] | None, catalogue: str | None) -> tuple[Measured,
 
 
 def _method(asked: str | None) -> str | None:
-    from bench.analysis.intercomparison.equivalence import METHODS
+    from bench.history.intercomparison.equivalence import METHODS
 
     known = {method.lower().replace(" ", "-"): method for method in METHODS}
     if asked is not None and asked not in known:
@@ -233,7 +233,7 @@ def _date(text: str) -> Any:
 
 def _write_compared(folder: Path, found: Compared, result: dict[str, Any], on: Console) -> None:
     from bench.base.atomic_files import to_text, write_whole
-    from bench.report.figures import equivalence_figure
+    from bench.results.figures import equivalence_figure
 
     folder.mkdir(parents=True, exist_ok=True)
     figure = equivalence_figure(found.benches, found.found, found.signal)

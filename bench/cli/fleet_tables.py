@@ -14,11 +14,11 @@ from bench.model.block import COEFFICIENTS
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bench.analysis.history.drift import UnitDrift
-    from bench.analysis.intercomparison.bench_or_block import BenchOrBlock
-    from bench.analysis.intercomparison.capability import Capability
-    from bench.analysis.intercomparison.prior import Prior
     from bench.catalogue.values import Compared
+    from bench.history.drift import UnitDrift
+    from bench.history.intercomparison.bench_or_block import BenchOrBlock
+    from bench.history.intercomparison.capability import Capability
+    from bench.history.intercomparison.prior import Prior
 
 MOST_SHOWN: Final = 12
 """Benches or units that are named in a terminal; the JSON has all."""

@@ -8,15 +8,15 @@ from itertools import count
 
 from rich.console import Console
 
-from bench.analysis.diagnosis.full import FullDiagnosis
-from bench.analysis.diagnosis.next_measurement import Proposal
-from bench.api.each import done
-from bench.api.source import Request
 from bench.cli import printing
 from bench.cli.diagnose import diagnosed
+from bench.diagnosis.full import FullDiagnosis
+from bench.diagnosis.next_measurement import Proposal
 from bench.run.answers import YES, ask
 from bench.run.folder import Run
 from bench.run.terminal import TerminalPerson
+from bench.services.each import done
+from bench.services.source import Request
 from drivers.interfaces import NoAnswer, Prompt, PromptKind
 
 

@@ -11,10 +11,10 @@ from bench.cli import printing
 from bench.cli.diagnose import not_written, unused
 
 if TYPE_CHECKING:
-    from bench.api.each import Failed
-    from bench.api.free_diagnosis import FreeDiagnosisResult
-    from bench.api.source import Source
     from bench.model import AppliedEffect
+    from bench.services.each import Failed
+    from bench.services.free_diagnosis import FreeDiagnosisResult
+    from bench.services.source import Source
 
 
 def diagnosed_free(
@@ -27,8 +27,8 @@ def diagnosed_free(
     report: bool | None,
 ) -> list[FreeDiagnosisResult | Failed]:
     """Diagnose sources of free positions, each by itself or all `together`; print, write JSON to `target`."""
-    from bench.api.each import done, each
-    from bench.api.free_diagnosis import free_diagnosis_of
+    from bench.services.each import done, each
+    from bench.services.free_diagnosis import free_diagnosis_of
 
     printing.bench_files(done(loaded), target)
     page = (together or len(loaded) == 1) if report is None else report
@@ -79,7 +79,7 @@ def _models(result: FreeDiagnosisResult, *, accept_first: bool) -> Iterator[Path
 
 def _written(result: FreeDiagnosisResult, first: Path, effects: tuple[AppliedEffect, ...]) -> Path | None:
     from bench.base.forms import FileMistakes
-    from bench.files.model import write_model_file
+    from bench.config.model_file import write_model_file
 
     for path in unused(first):
         try:

@@ -21,14 +21,14 @@ def import_(
     runs: RunsOption = RUNS,
 ) -> int:
     """Make a run of a readings file that was measured elsewhere."""
-    from bench.api.bench_selection import SUFFIX, bench_of, origin_beside
-    from bench.api.errors import Refused
-    from bench.api.provenance import versions
     from bench.base.files import read_given
     from bench.readings.csv import read_csv
     from bench.run.folder import BENCH, IMPORTED, Run, checked_name
     from bench.run.manifest import Manifest
     from bench.run.record import Record
+    from bench.services.bench_selection import SUFFIX, bench_of, origin_beside
+    from bench.services.errors import Refused
+    from bench.services.provenance import versions
     from drivers.clock import utc_now
 
     try:

@@ -7,15 +7,15 @@ from typing import Annotated
 
 import typer
 
-from bench.api.errors import Refused
 from bench.cli import printing
 from bench.cli.options import app
+from bench.services.errors import Refused
 
 
 @app.command(epilog="Example: bench init my-lab")
 def init(folder: Annotated[Path, typer.Argument(help="Folder to write into.")] = Path()) -> int:
     """Write copies of the shipped procedures and bench files, to edit."""
-    from bench.files.shipped import copy_shipped
+    from bench.config.shipped import copy_shipped
 
     try:
         copied = copy_shipped(folder)

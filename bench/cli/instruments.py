@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.api.errors import Refused
 from bench.cli import printing
 from bench.cli.options import BenchOption, JsonOption, WireLogOption, app
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
-    from bench.api.instruments import InstrumentLook
+    from bench.services.instruments import InstrumentLook
 
 
 @app.command(epilog="Example: bench instruments --bench my-bench.yaml")
@@ -71,11 +71,11 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
 
     Raises `Refused` without a bench file, `FileMistakes`, `OSError` for a wire log that cannot be.
     """
-    from bench.api.bench_selection import bench_path
-    from bench.api.instruments import look_at
-    from bench.api.traceability import remarks
-    from bench.files.bench.file import load_bench
+    from bench.config.bench_file.file import load_bench
     from bench.run.interruptions import Interrupts
+    from bench.services.bench_selection import bench_path
+    from bench.services.instruments import look_at
+    from bench.services.traceability import remarks
     from drivers.wire.log import logged_wire
 
     file = load_bench(bench_path(_named(bench)))

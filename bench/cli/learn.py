@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from bench.api.errors import Refused
 from bench.cli import printing
 from bench.cli.options import RUNS, BenchOption, JsonOption, ModelOption, RunsOption, SkipOption, app
+from bench.services.errors import Refused
 
 
 @app.command(epilog="Example: bench learn unit-* --out learned.yaml --expires 180")
@@ -40,8 +40,8 @@ def learn(
     runs: RunsOption = RUNS,
 ) -> int:
     """What many runs tell of one bench: its stand, noise, head; as a file that its bench file takes."""
-    from bench.api.learning import learning_of
-    from bench.api.source import Request, load_sources
+    from bench.services.learning import learning_of
+    from bench.services.source import Request, load_sources
 
     printing.check_target(json)
     target = out or Path("learned.yaml")

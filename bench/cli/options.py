@@ -14,7 +14,7 @@ from typer.core import TyperCommand, TyperOption
 
 from bench.cli import completing
 from bench.cli.commands import Commands
-from bench.devices import FOLDERS
+from bench.config.devices import FOLDERS
 
 devices_given: ContextVar[tuple[str, ...]] = ContextVar("devices_given", default=())
 """The folders that `--devices` names, as they were typed."""
@@ -61,7 +61,7 @@ def _use_effects(ctx: typer.Context, files: list[str] | None) -> None:
 
 @contextmanager
 def _effects_of(files: Sequence[str]) -> Iterator[None]:
-    from bench.files.formulas import ENVIRONMENT, effects_in, files_of_environment
+    from bench.config.formulas import ENVIRONMENT, effects_in, files_of_environment
     from bench.model import CATALOGUE
 
     before = os.environ.get(ENVIRONMENT)
@@ -139,7 +139,7 @@ class WithEstimators(TyperCommand):
 
     def get_help(self, ctx: Any) -> str:
         """Return the help."""
-        from bench.analysis.calibration.estimators import estimators_in_words
+        from bench.calibration.estimators import estimators_in_words
 
         for option in self.params:
             if isinstance(option, TyperOption) and option.help in {ESTIMATORS_TOLD, ESTIMATORS_IN_A_BUDGET}:

@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from bench.api.errors import Refused
 from bench.cli import printing
 from bench.cli.options import RUNS, RunsOption, app
+from bench.services.errors import Refused
 
 
 class What(StrEnum):

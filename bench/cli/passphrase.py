@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from bench.api.errors import Refused
+from bench.services.errors import Refused
 
 
 def passphrase(question: str, again: str = "") -> bytes:

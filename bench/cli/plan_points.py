@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from bench.api.errors import Refused
 from bench.base.numbers import figures
 from bench.cli import printing, progress
 from bench.cli.options import BenchOption, JsonOption, app
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.analysis.planning.points import Points
-    from bench.api.bench_selection import BenchTaken
-    from bench.api.points import PaperPoints
+    from bench.planning.points import Points
+    from bench.services.bench_selection import BenchTaken
+    from bench.services.points import PaperPoints
 
 MOST_ANGLES: Final = 72
 
@@ -87,12 +87,12 @@ def plan_points(
     if out is not None and not out.absolute().parent.is_dir():
         raise Refused(f"--out {out}: there is no such folder")
 
-    from bench.analysis.planning.points import Points, Sites, best_within, cheapest
-    from bench.analysis.planning.settings import Cost
-    from bench.api import points as api
-    from bench.api.bench_selection import find_bench_file
     from bench.model import ForwardModel
+    from bench.planning.points import Points, Sites, best_within, cheapest
+    from bench.planning.settings import Cost
     from bench.readings.table import VERIFICATION
+    from bench.services import points as api
+    from bench.services.bench_selection import find_bench_file
     from drivers.clock import utc_now
 
     taken = find_bench_file(bench)
@@ -160,7 +160,7 @@ def _print(
 
 
 def _goal_table(points: Points, paper: PaperPoints, *, asked: bool) -> Table:
-    from bench.api.points import worst_by_name
+    from bench.services.points import worst_by_name
 
     of_paper = f">u of the paper's {paper.settings} settings"
     table = printing.table("goal", *([">asked u"] if asked else []), ">planned u", of_paper, ">")
@@ -174,7 +174,7 @@ def _goal_table(points: Points, paper: PaperPoints, *, asked: bool) -> Table:
 def _to_json(
     points: Points, paper: PaperPoints, taken: BenchTaken, procedure: Path | None, *, asked: bool
 ) -> dict[str, Any]:
-    from bench.api.points import worst_by_name
+    from bench.services.points import worst_by_name
 
     return {
         "bench": taken.file.name,

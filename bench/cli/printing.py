@@ -9,19 +9,19 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.api.errors import Refused
 from bench.base.computing import quiet
 from bench.base.visible import bounded, visible
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.analysis.calibration import Calibration, Noise
-    from bench.api.bench_selection import BenchTaken
-    from bench.api.calibration import CalibrationResult
-    from bench.api.source import Source
-    from bench.api.verification import Asked, VerificationResult
+    from bench.calibration import Calibration, Noise
+    from bench.services.bench_selection import BenchTaken
+    from bench.services.calibration import CalibrationResult
+    from bench.services.source import Source
+    from bench.services.verification import Asked, VerificationResult
 
 
 def console(*, json: str | None = None) -> Console:
@@ -88,7 +88,7 @@ def write_json(results: list[dict[str, Any]], target: str | None) -> None:
 
 def failed(results: Sequence[object]) -> bool:
     """Say which of several sources could not be evaluated, a line each; return whether there is any."""
-    from bench.api.each import failures
+    from bench.services.each import failures
 
     found = failures(results)
     if len(found) > 1 and len({one.problem for one in found}) == 1:
@@ -130,7 +130,7 @@ def write_result(
 
 def written(what: str, file: Path, out: Console | None = None) -> None:
     """Say where a file was written; of a what-if, that the run's own stands as it was."""
-    from bench.api.source import WHAT_IF
+    from bench.services.source import WHAT_IF
 
     of = "" if file.parent.name != WHAT_IF else " of this what-if (the run's own stays)"
     (out or console()).print(f"{what}{of}: {file}")
@@ -162,8 +162,8 @@ def bench_files(sources: Sequence[Source], json: str | None) -> None:
 
 def calibration(result: CalibrationResult, file: Path | None, out: Console | None = None) -> None:
     """Print the coefficients, the noise, the fit, and doubts that the block is the one announced."""
-    from bench.analysis.calibration.estimators import find_estimator
     from bench.base.numbers import scale_for
+    from bench.calibration.estimators import find_estimator
 
     out = out or console()
     found = result.calibration
@@ -236,9 +236,9 @@ def report(
     result: CalibrationResult, out: Console, asked: Asked | None = None
 ) -> tuple[VerificationResult | None, Path]:
     """Write the page of a calibration; return the verification that is in it, and the file. Raises `OSError`."""
-    from bench.api.documents import report_page
-    from bench.api.verification import NOTHING_ASKED
     from bench.base.atomic_files import write_whole
+    from bench.services.documents import report_page
+    from bench.services.verification import NOTHING_ASKED
 
     page, verdict = report_page(result, asked or NOTHING_ASKED)
     what_if = result.source.what_if or (verdict is not None and verdict.otherwise)

@@ -42,10 +42,10 @@ def report(
     runs: RunsOption = RUNS,
 ) -> int:
     """Write the report of a run: one HTML page."""
-    from bench.api.calibration import calibration_of
-    from bench.api.errors import Refused
-    from bench.api.source import Request, load_sources
-    from bench.api.verification import Asked
+    from bench.services.calibration import calibration_of
+    from bench.services.errors import Refused
+    from bench.services.source import Request, load_sources
+    from bench.services.verification import Asked
 
     printing.check_target(json)
     asked = Asked(limit, rule, guard_band, population)

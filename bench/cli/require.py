@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.analysis.budget.error_source import ErrorSource
-    from bench.analysis.planning.requirements import Limit
-    from bench.api.budget import RequirementAnswer
+    from bench.calibration.budget.error_source import ErrorSource
+    from bench.planning.requirements import Limit
+    from bench.services.budget import RequirementAnswer
 
 _MICRO: Final = 1e-6
 _SHOWN: Final = {
@@ -70,8 +70,8 @@ def require(
     """How large each error of the bench may be for an accuracy; exit status 1 when it is not kept now."""
     printing.check_target(json)
     with progress.shown():
-        from bench.api.bench_selection import find_bench_file
-        from bench.api.budget import requirements
+        from bench.services.bench_selection import find_bench_file
+        from bench.services.budget import requirements
 
         taken = find_bench_file(bench)
 

@@ -38,14 +38,14 @@ def resume(
     runs: RunsOption = RUNS,
 ) -> int:
     """Go on with an interrupted run at the first point without a reading; make the results that it lacks."""
-    from bench.api.execution import carry_out
-    from bench.api.heard import heard_in
-    from bench.api.left_runs import refuse_missing_devices, taken_up, unfinished_run
     from bench.run.asking import WishListener
     from bench.run.control import ControlFile
     from bench.run.folder import Run
     from bench.run.interruptions import Interrupts
     from bench.run.states import RunState
+    from bench.services.execution import carry_out
+    from bench.services.heard import heard_in
+    from bench.services.left_runs import refuse_missing_devices, taken_up, unfinished_run
     from drivers.wire.log import logged_wire
 
     printing.check_target(json)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from bench.api.errors import Refused
 from bench.cli import printing
 from bench.cli.options import (
     RUNS,
@@ -27,14 +26,15 @@ from bench.cli.options import (
     app,
 )
 from bench.cli.panel import link_to
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bench.api.source import Source
     from bench.run.folder import Run
     from bench.run.interruptions import Interrupts
     from bench.run.manifest import VerdictAsked
+    from bench.services.source import Source
 
 _MADE: Final = ("calibrate.json", "verify.json", "report.html", "chart.json")
 """What may be made of a finished run."""
@@ -94,20 +94,20 @@ def run(
 
     verdict: VerdictAsked | None = None
     if (limit, rule, guard_band) != (None, None, None):
-        from bench.api.bench_selection import find_bench_file
-        from bench.api.verification import Asked, judgement_of
+        from bench.services.bench_selection import find_bench_file
+        from bench.services.verification import Asked, judgement_of
 
         asked = Asked(limit, rule, guard_band)
         judgement_of(find_bench_file(bench).file, asked)
         verdict = asked.recorded()
 
     def carried_out(procedure: str, name: str | None, seed: int) -> tuple[Run, int]:
-        from bench.api.execution import carry_out, new_run
-        from bench.api.heard import heard_in
         from bench.run.asking import WishListener
         from bench.run.control import ControlFile
         from bench.run.folder import Run
         from bench.run.interruptions import Interrupts
+        from bench.services.execution import carry_out, new_run
+        from bench.services.heard import heard_in
         from drivers.wire.log import logged_wire
 
         new = new_run(
@@ -157,15 +157,15 @@ def charted(run: Run, out: Console) -> int:
 
     Of any other run there is nothing to say. Where no chart can be made, that is said: the run is finished.
     """
-    from bench.api.bench_selection import own_bench
+    from bench.services.bench_selection import own_bench
 
     bench, path = own_bench(run)
     unit = run.manifest.get("unit_under_test")
     if bench.check_block is None or unit is None:
         return 0
-    from bench.api.check_block import chart_of, check_block_runs, is_check_block
     from bench.base.atomic_files import to_text
     from bench.cli.chart import print_chart
+    from bench.services.check_block import chart_of, check_block_runs, is_check_block
 
     if not is_check_block(bench, unit):
         return 0
@@ -211,9 +211,9 @@ def conclude(run: Run, target: str | None = None) -> int:
 
     A procedure need not be a calibration: where its readings do not make one, that is said and no mistake.
     """
-    from bench.api.source import Request, load_sources
     from bench.base.atomic_files import to_text, write_whole
     from bench.run.folder import RESULTS
+    from bench.services.source import Request, load_sources
 
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
     try:
@@ -230,11 +230,11 @@ def conclude(run: Run, target: str | None = None) -> int:
 
 def _draw(run: Run, source: Source, target: str | None) -> int:
     """Draw the results from a finished run and write them into its folder. Raises `OSError`."""
-    from bench.analysis.calibration import CalibrationError
-    from bench.api.calibration import calibration_of
-    from bench.api.diagnosis import told_in_words
-    from bench.api.until import is_short
     from bench.base.atomic_files import to_text, write_whole
+    from bench.calibration import CalibrationError
+    from bench.services.calibration import calibration_of
+    from bench.services.diagnosis import told_in_words
+    from bench.services.until import is_short
 
     out = printing.console(json=target)
     short = is_short(run)

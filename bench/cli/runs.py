@@ -15,7 +15,7 @@ _NAME: Final = 19
 @app.command(epilog="Example: bench runs")
 def runs(runs: RunsOption = RUNS, json: JsonOption = None) -> int:
     """List the runs, what became of them, and how to go on."""
-    from bench.api.records import run_summaries
+    from bench.services.records import run_summaries
 
     found = run_summaries(runs)
     printing.write_json([{"runs": found}], json)

@@ -30,9 +30,9 @@ def seal(
     runs: RunsOption = RUNS,
 ) -> int:
     """Seal a run that has ended: note the head of its chain, signed with a key, stamped with the time."""
-    from bench.api.records import seal_run
     from bench.cli.passphrase import passphrase as typed
     from bench.run.folder import find_run
+    from bench.services.records import seal_run
 
     printing.check_target(json)
     found = find_run(run, runs)

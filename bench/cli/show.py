@@ -37,9 +37,9 @@ def show(
     json: JsonOption = None,
 ) -> int:
     """Show what a run holds: inputs, events, readings."""
-    from bench.api.provenance import record_head
-    from bench.api.records import proof_of, run_summary, supply_in_words
     from bench.run.folder import find_run
+    from bench.services.provenance import record_head
+    from bench.services.records import proof_of, run_summary, supply_in_words
 
     found = find_run(run, runs)
     verify = verify or any(given is not None for given in (head, key, authority))

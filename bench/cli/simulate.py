@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from bench.api.errors import Refused
 from bench.base.files import read_regular
 from bench.cli import printing
 from bench.cli.options import BenchOption, ModelOption, app
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
-    from bench.assembly.served import Serving
-    from bench.files.bench.file import BenchFile
+    from bench.config.bench_file.file import BenchFile
+    from bench.run.assembly.served import Serving
 
 _LOOK_S: Final = 0.5
 _CONTROL_TIMEOUT_S: Final = 10.0
@@ -77,10 +77,10 @@ def _serve(
 
     Raises `Refused` for a speed or port that there is not, `BenchError` for a port that is taken.
     """
-    from bench.api.bench_selection import bench_path
-    from bench.api.simulated_truth import simulated_truth
-    from bench.assembly.served import served_bench
-    from bench.files.bench.file import load_bench
+    from bench.config.bench_file.file import load_bench
+    from bench.run.assembly.served import served_bench
+    from bench.services.bench_selection import bench_path
+    from bench.services.simulated_truth import simulated_truth
 
     if not 0.0 < speed < math.inf:
         raise Refused(f"--speed {speed:g}: a clock runs at a positive speed such as 1 or 60")
@@ -152,8 +152,8 @@ def _show(bench: BenchFile, serving: Serving) -> None:
 @contextmanager
 def _held(host: str, port: int | None) -> Iterator[None]:
     """Hold the first of the ports that were chosen: who would serve there as well is told who does."""
-    from bench.assembly.served import HELD
     from bench.base.files import cache_folder
+    from bench.run.assembly.served import HELD
     from drivers.wire.holding import Holding
 
     if not port:

@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bench.api.errors import Refused
 from bench.base.computing import tracked
 from bench.base.numbers import MINUS, probability, quantity
 from bench.cli import printing, progress
 from bench.cli.options import RUNS, BenchOption, JsonOption, OutOption, RunsOption, app
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.analysis.stability.noise_terms import AllanCurve, Averaging, NoiseTerms, ReadingAdvice
-    from bench.analysis.stability.static_record import StaticRecord
-    from bench.api.bench_selection import BenchTaken
-    from bench.files.bench.file import BenchFile
+    from bench.config.bench_file.file import BenchFile
+    from bench.history.stability.noise_terms import AllanCurve, Averaging, NoiseTerms, ReadingAdvice
+    from bench.history.stability.static_record import StaticRecord
+    from bench.services.bench_selection import BenchTaken
 
 AXES = "xyz"
 
@@ -87,8 +87,8 @@ class _Findings:
 
 def _bench_of(record: str, runs: Path, bench: str | None) -> tuple[BenchTaken, tuple[str, ...]]:
     """Return the bench file asked for, else that of the run or told beside the record, else the usual one."""
-    from bench.api.bench_selection import Told, bench_of, origin_beside
     from bench.run.folder import BENCH, Run
+    from bench.services.bench_selection import Told, bench_of, origin_beside
 
     if Path(record).is_file():
         return bench_of(record, None, origin_beside(Path(record)), bench)
@@ -98,8 +98,8 @@ def _bench_of(record: str, runs: Path, bench: str | None) -> tuple[BenchTaken, t
 
 def _record(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, float | None]:
     """Return the record, and how long each sample integrated where a run tells it."""
-    from bench.analysis.stability.static_record import from_columns, read_static
-    from bench.procedure.plan import Read
+    from bench.config.procedure.plan import Read
+    from bench.history.stability.static_record import from_columns, read_static
     from bench.run.folder import find_run
 
     path = Path(name)
@@ -121,8 +121,8 @@ def _record(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, floa
 
 
 def _findings(record: StaticRecord, bench: BenchFile, size: float | None, integration_s: float) -> _Findings:
-    from bench.analysis.calibration import CalibrationError
-    from bench.analysis.stability.noise_terms import allan_curve, averaging, fit_terms, reading_advice
+    from bench.calibration import CalibrationError
+    from bench.history.stability.noise_terms import allan_curve, averaging, fit_terms, reading_advice
 
     channels = tracked(range(3), "Allan deviation of the channels")
     curves = [allan_curve(record.signal[:, i], record.interval_s) for i in channels]
@@ -172,7 +172,7 @@ def _json(record: StaticRecord, found: _Findings) -> dict[str, Any]:
 
 
 def _print(record: StaticRecord, found: _Findings, bench: BenchFile, out: Console) -> None:
-    from bench.analysis.stability.noise_terms import MISFIT_P
+    from bench.history.stability.noise_terms import MISFIT_P
 
     out.print(
         f"Static record {record.source}: {len(record.signal)} samples of {record.interval_s:.4g} s, "
@@ -200,7 +200,7 @@ def _print(record: StaticRecord, found: _Findings, bench: BenchFile, out: Consol
 
 def _table(record: StaticRecord, found: _Findings) -> Table:
     """A column for each channel: mean, drift, the noise terms with u or what they are below, the averaging."""
-    from bench.analysis.stability.noise_terms import TERMS
+    from bench.history.stability.noise_terms import TERMS
 
     unit = record.unit
     table = printing.table("", *(f">{axis}" for axis in AXES))
@@ -218,7 +218,7 @@ def _signed(value: float, unit: str) -> str:
 
 
 def _shown(terms: NoiseTerms, k: int, unit: str) -> str:
-    from bench.analysis.stability.noise_terms import TERMS
+    from bench.history.stability.noise_terms import TERMS
 
     if terms.shown[k]:
         share = terms.u[k] / terms.values[k]
@@ -241,7 +241,7 @@ def _write(
     stem: Path, record: StaticRecord, found: _Findings, result: dict[str, Any], *, asked: bool
 ) -> dict[str, Path]:
     from bench.base.atomic_files import to_text
-    from bench.report.figures import allan_figure
+    from bench.results.figures import allan_figure
 
     longest = max(average.tau_s for average in found.averages)
     texts = {

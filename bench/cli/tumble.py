@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.analysis.tumble.view import TumbleView
+    from bench.calibration.tumble.view import TumbleView
 
 CLOSE = 0.95
 """A correlation beyond which two terms are told to hang together."""
@@ -49,8 +49,8 @@ def tumble(
     runs: RunsOption = RUNS,
 ) -> int:
     """Each axis of a multi-point tumble by IEEE 1293: bias, scale factor, misalignments, K2, K3, Koq."""
-    from bench.api.compensation import tumble_of
-    from bench.api.source import Request, load_sources
+    from bench.services.compensation import tumble_of
+    from bench.services.source import Request, load_sources
 
     printing.check_target(json)
     loaded = load_sources(Request(sources, runs, bench, None, g, out, skip_bad_rows))
@@ -149,7 +149,7 @@ def _close(view: TumbleView) -> list[tuple[str, str, float]]:
 
 
 def _left_out(term: str, *, combined: bool) -> str:
-    from bench.analysis.budget.whole import OF_BLOCK
+    from bench.calibration.budget.whole import OF_BLOCK
 
     return "not fitted, but in u," if combined and term in OF_BLOCK else "taken as zero"
 

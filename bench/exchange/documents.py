@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.analysis.calibration.derived import INVERSE, Derived
 from bench.base.arrays import Floats
 from bench.base.atomic_files import to_text
 from bench.base.c_source import comment, double
 from bench.base.visible import visible
+from bench.calibration.derived import INVERSE, Derived
 from bench.exchange.result import CONVENTION, BlockResult, Row
 from bench.model.block import COEFFICIENTS
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.analysis.calibration.derived import Derived, inverse, misalignments
 from bench.base.arrays import Floats, u_of
 from bench.base.c_source import one_line
+from bench.calibration.derived import Derived, inverse, misalignments
 from bench.model.block import COEFFICIENTS, Block
 
 SIMULATED = "SIMULATED: found on simulated instruments, of no real block"

@@ -13,10 +13,9 @@ from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.routing import Route
 
-from bench.api.errors import Refused
 from bench.base.forms import FileMistakes
-from bench.files.bench.file import load_bench
-from bench.files.shipped import find_bench
+from bench.config.bench_file.file import load_bench
+from bench.config.shipped import find_bench
 from bench.panel import look
 from bench.panel.access import Gate, Refusal
 from bench.panel.pages import catalogue, check, control, live, runs, shown, sign_in, start, verdict
@@ -24,6 +23,7 @@ from bench.panel.panel import Panel
 from bench.panel.settings import Settings
 from bench.readings.csv import ReadingsError
 from bench.run.manifest import RecordError
+from bench.services.errors import Refused
 from drivers.interfaces import BenchError
 
 ROUTES = [
@@ -79,18 +79,18 @@ def make_app(settings: Settings) -> Starlette:
 
 
 LATE: Final = (
-    "bench.analysis.calibration.conformity",
-    "bench.analysis.calibration.verification",
-    "bench.api.check_runs",
-    "bench.api.check_block",
-    "bench.api.left_runs",
-    "bench.report.control_chart",
+    "bench.calibration.conformity",
+    "bench.calibration.verification",
+    "bench.services.check_runs",
+    "bench.services.check_block",
+    "bench.services.left_runs",
+    "bench.results.control_chart",
 )
 LATE_OF_CATALOGUE: Final = (
     "bench.catalogue.answers",
     "bench.catalogue.store",
     "bench.catalogue.unit",
-    "bench.report.unit",
+    "bench.results.unit",
 )
 """What pages import when they are first asked for: a second's work, which a program that only asks is spared."""
 

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from bench.api.errors import Refused
 from bench.base.files import read_json
 from bench.certificate.laboratory import load_laboratory
 from bench.certificate.register import Register
 from bench.panel.access import Refusal
 from bench.run.folder import Run
 from bench.run.manifest import MANIFEST
+from bench.services.errors import Refused
 
 LARGEST_PAGE: Final = 64 * 2**20
 

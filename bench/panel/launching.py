@@ -19,7 +19,7 @@ from filelock import FileLock, Timeout
 from bench.base.atomic_files import from_text, to_text, write_whole
 from bench.base.files import open_regular, read_regular
 from bench.base.visible import visible
-from bench.files.shipped import CONFIG, PROCEDURES, shipped_folder
+from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.panel.access import Refusal, private_folder
 from bench.panel.folder import RunsFolder
 from bench.run.folder import Run, checked_name

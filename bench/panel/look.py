@@ -35,7 +35,7 @@ def read_asset(name: str) -> bytes:
     if name not in ASSETS:
         raise KeyError(name)
     if name == REPORT_STYLE:
-        return (files("bench.report") / "templates" / "style.css.j2").read_bytes()
+        return (files("bench.results") / "templates" / "style.css.j2").read_bytes()
     return (files("bench.panel") / "static" / name).read_bytes()
 
 

@@ -138,7 +138,7 @@ def is_plain(path: Path) -> bool:
 
 
 def _in_words(probability: Any) -> str:
-    from bench.analysis.calibration.verification import optional_probability  # takes long to import
+    from bench.calibration.verification import optional_probability  # takes long to import
 
     return optional_probability(None if probability is None else float(probability))
 
@@ -183,8 +183,8 @@ def _point(one: Mapping[str, Any], size: float, rule: str) -> PointRow:
 
 def _statement(told: Mapping[str, Any], rule: str) -> str:
     """Return a statement as its rule makes it; an old result has none."""
-    from bench.analysis.calibration.conformity import Statement  # takes long to import
-    from bench.analysis.calibration.verification import by_rule
+    from bench.calibration.conformity import Statement  # takes long to import
+    from bench.calibration.verification import by_rule
 
     passed = bool(told["passed"])
     return str(

@@ -11,12 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bench.api.errors import Refused
-from bench.api.until import look_ahead
 from bench.base.atomic_files import from_text
 from bench.base.files import read_regular
 from bench.base.forms import FileMistakes
 from bench.panel.launching import BENCH, Found, Wanted, WishFolder, last_words
+from bench.services.errors import Refused
+from bench.services.until import look_ahead
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ import platformdirs
 
 from bench.base.computing import uncollected
 from bench.base.files import read_json, read_regular
-from bench.procedure.plan import Plan, Read
+from bench.config.procedure.plan import Plan, Read
 from bench.readings.corrected import Seen, with_levels
 from bench.readings.reading import readings_of
 from bench.readings.table import VERIFICATION, Readings

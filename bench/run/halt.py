@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Final
 
-from bench.procedure.plan import Mount, Plan, Read, SetTemperature
+from bench.config.procedure.plan import Mount, Plan, Read, SetTemperature
 from bench.run.answers import MOST_ATTEMPTS, REASON, problem_with_answer
 from bench.run.control import OperatorWish, RunControl
 from bench.run.events import Event

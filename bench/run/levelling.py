@@ -27,7 +27,7 @@ from drivers.interfaces import (
 )
 
 if TYPE_CHECKING:
-    from bench.procedure.plan import Level as LevelStep
+    from bench.config.procedure.plan import Level as LevelStep
     from bench.run.workbench import Instruments
 
 MOST_ATTEMPTS: Final = 5

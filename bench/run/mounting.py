@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
-from bench.procedure.plan import Mount
+from bench.config.procedure.plan import Mount
 from drivers.interfaces import Prompt, PromptKind
 
 PICTURES: Final[Mapping[str, str]] = {

@@ -8,8 +8,8 @@ from functools import partial
 from typing import Any, Final
 
 from bench.base.words import duration
-from bench.files.bench.rails import DriftForm, RailSection, UnitSupplySection
-from bench.procedure.plan import SWITCHED_ON, Mount, Plan, Power, Read
+from bench.config.bench_file.rails import DriftForm, RailSection, UnitSupplySection
+from bench.config.procedure.plan import SWITCHED_ON, Mount, Plan, Power, Read
 from bench.readings.columns import Rail
 from bench.run.answers import ask
 from bench.run.events import EventType

@@ -8,7 +8,7 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
-from bench.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Step, Turn
+from bench.config.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Step, Turn
 from bench.run.answers import OpenPrompt
 from bench.run.events import Event, EventType
 from bench.run.manifest import RecordError

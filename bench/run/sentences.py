@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from bench.base.numbers import figures, scale_for
 from bench.base.visible import visible
-from bench.procedure.plan import Plan
+from bench.config.procedure.plan import Plan
 from bench.readings.reading import Reading
 from bench.run.events import Answered, Event, EventType, Turned
 

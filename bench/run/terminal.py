@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
 from bench.base.computing import quiet
-from bench.procedure.plan import Plan
+from bench.config.procedure.plan import Plan
 from bench.readings.reading import Reading
 from bench.run.control import NOBODY_KNOWN, SIGN, Who, parse_wish, raised
 from bench.run.events import Event, EventType

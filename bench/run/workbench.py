@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS
-from bench.procedure.plan import (
+from bench.config.procedure.plan import (
     Ask,
     Level,
     Mount,
@@ -23,7 +23,7 @@ from bench.procedure.plan import (
     Turn,
     Wait,
 )
-from bench.procedure.steps import in_scan_order, read_order
+from bench.config.procedure.steps import in_scan_order, read_order
 from bench.readings.columns import Rail, between
 from bench.readings.reading import Reading
 from bench.run.answers import ask, confirm

@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from bench.analysis.calibration.design import FIXED
-from bench.analysis.diagnosis import Threshold, ThresholdCache, diagnose
-from bench.analysis.diagnosis.evidence import Whitened
-from bench.analysis.diagnosis.free_positions import diagnose_free
-from bench.analysis.diagnosis.linear import LinearSystem
-from bench.analysis.diagnosis.posterior import posterior
-from bench.analysis.diagnosis.show import Simulation, show
-from bench.analysis.diagnosis.threshold import channel_steps, size_steps
-from bench.files.bench.file import BenchFile, load_bench
-from bench.files.formulas import load_effects
-from bench.files.shipped import find_bench
+from bench.calibration.design import FIXED
+from bench.config.bench_file.file import BenchFile, load_bench
+from bench.config.formulas import load_effects
+from bench.config.shipped import find_bench
+from bench.diagnosis import Threshold, ThresholdCache, diagnose
+from bench.diagnosis.evidence import Whitened
+from bench.diagnosis.free_positions import diagnose_free
+from bench.diagnosis.linear import LinearSystem
+from bench.diagnosis.posterior import posterior
+from bench.diagnosis.show import Simulation, show
+from bench.diagnosis.threshold import channel_steps, size_steps
 from bench.model import CATALOGUE, Effect, ForwardModel, Installation
 from benchmarks.blind_trial.cases import Case
 from benchmarks.blind_trial.own_effects import FORMULAS

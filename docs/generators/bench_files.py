@@ -7,7 +7,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
-from bench.files.bench.file import BenchFile
+from bench.config.bench_file.file import BenchFile
 from docs.generators.effects import ENTRY_TITLES
 from docs.generators.forms import sections
 from docs.generators.instruments import driver_name

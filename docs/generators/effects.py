@@ -6,7 +6,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
-from bench.files.model import ModelFile
+from bench.config.model_file import ModelFile
 from bench.model.effects import CATALOGUE, Effect, Parameter, Stage
 from docs.generators.forms import sections
 from docs.generators.markdown import code, prose, table

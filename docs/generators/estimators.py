@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import Final
 
-from bench.analysis.calibration.estimators import ESTIMATORS
+from bench.calibration.estimators import ESTIMATORS
 from docs.generators.markdown import code, table
 
 _INTRODUCTION: Final = """\
@@ -29,6 +29,6 @@ def page() -> str:
         for e in ESTIMATORS.values()
     ]
     head = ("name", "what it does", "weighs readings", "takes free positions", "in a budget counts as")
-    module = importlib.import_module("bench.analysis.calibration.gls")
+    module = importlib.import_module("bench.calibration.gls")
     doc = (module.__doc__ or "").strip()
     return f"{_INTRODUCTION}\n{table(head, rows)}\n\n## Generalised least squares\n\n{doc}\n"

@@ -63,7 +63,7 @@ def _made(folder: Path) -> tuple[bytes, bytes, list[bytes]]:
     from bench.certificate.signature.signatory import new_certificate_key, signatory_of
     from bench.certificate.signature.xades import sign_pdf, sign_xml
     from bench.cli.app import main
-    from bench.files.shipped import CERTIFICATE, shipped_folder
+    from bench.config.shipped import CERTIFICATE, shipped_folder
     from drivers.clock import utc_now
 
     with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):

@@ -9,9 +9,9 @@ from typing import Any, Final, Literal, get_args, get_origin
 import yaml
 from pydantic import BaseModel
 
-from bench.devices.device import Device, Role
-from bench.devices.registry import devices
-from bench.devices.sections import SupplyForm
+from bench.config.devices.device import Device, Role
+from bench.config.devices.registry import devices
+from bench.config.devices.sections import SupplyForm
 from docs.generators.forms import anchor
 from docs.generators.markdown import code, prose
 from drivers.interfaces import OutputLimits, SupplyLimits

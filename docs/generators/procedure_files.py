@@ -7,7 +7,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
-from bench.procedure.file import VERBS, ProcedureFile
+from bench.config.procedure.file import VERBS, ProcedureFile
 from docs.generators.forms import models_in, sections
 
 _INTRODUCTION: Final = """\

@@ -31,7 +31,7 @@ def fragment() -> str:
     rows = []
     for floor, names in enumerate(layers(), start=1):
         for name in names:
-            place = _place(name)
+            place = f"bench.{name}"
             rows.append((str(floor), f"`{place}`", _holds(place)))
     others = [
         (c["name"], ", ".join(f"`{m}`" for m in c.get("source_modules", ())))
@@ -49,10 +49,6 @@ def fragment() -> str:
             table(("rule", "of"), others),
         )
     )
-
-
-def _place(name: str) -> str:
-    return f"bench.{name}" if (ROOT / "bench" / name).exists() else f"bench.analysis.{name}"
 
 
 def _folders(*tops: str) -> list[str]:

@@ -5,10 +5,10 @@ from decimal import Decimal
 
 import pytest
 
-from bench.api.errors import Refused
-from bench.api.quantities import quantity
 from bench.base.numbers import MINUS, read_number, rounded, uncertainty
 from bench.base.units import ACCELERATION, RATIO, parse_quantity
+from bench.services.errors import Refused
+from bench.services.quantities import quantity
 from drivers.angles import parse_angle, typed_supply, typed_temperature
 
 

@@ -5,13 +5,13 @@ import signal
 
 import pytest
 
-from bench.api.errors import Refused
 from bench.batch import cluster
 from bench.batch.cluster import by_scheduler, of_program
 from bench.batch.job import CALIBRATE, Job, program
 from bench.batch.outcome import asked_of, conclude
 from bench.batch.store import Course, Store
 from bench.batch.work import worked
+from bench.services.errors import Refused
 from tests.support.many_runs import runs_in
 
 pytestmark = pytest.mark.slow

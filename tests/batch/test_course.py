@@ -4,13 +4,13 @@ import shutil
 
 import pytest
 
-from bench.api.errors import Refused
 from bench.batch import store as course_module
 from bench.batch.job import CALIBRATE, Job
 from bench.batch.outcome import asked_of, conclude
 from bench.batch.store import Course, Store, fingerprint, list_runs
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
+from bench.services.errors import Refused
 from tests.support.many_runs import runs_in
 
 OVER = ["runs/*"]

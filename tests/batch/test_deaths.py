@@ -4,10 +4,10 @@ from collections import deque
 
 import pytest
 
-from bench.api.errors import Refused
 from bench.batch import processes
 from bench.batch.job import CALIBRATE, Job
 from bench.batch.processes import TRIES, _Pool
+from bench.services.errors import Refused
 
 
 class Wire:

@@ -8,9 +8,9 @@ from unittest import mock
 import pytest
 from rich.console import Console
 
-from bench.api.execution import carry_out, new_run
 from bench.cli.app import main
 from bench.run.folder import Run
+from bench.services.execution import carry_out, new_run
 from benchmarks.mistaken_operator import KINDS, MistakenOperator, draw
 from benchmarks.mistakes_campaign import CLEAN, LARGE, Outcome, setting, table, watched, whole
 from drivers.interfaces import Answer, NoAnswer
@@ -62,7 +62,7 @@ def gone_on(kind, runs, number=0):
     make = partial(Stubborn, plan=plan, mistake=mistake)
     with (
         Path("/dev/null").open("w") as nowhere,
-        mock.patch("bench.assembly.served.ScriptedOperator", make),
+        mock.patch("bench.run.assembly.served.ScriptedOperator", make),
     ):
         carry_out(Run(new.folder), new.record(), None, None, Console(file=nowhere))
     return Run(new.folder)
@@ -120,7 +120,7 @@ def test_a_dry_run_that_stops_ends_with_status_2_and_asks_again_when_resumed(tmp
 
     monkeypatch.chdir(tmp_path)
     make = partial(Silent, plan=plan, mistake=mistake)
-    with mock.patch("bench.assembly.served.ScriptedOperator", make), pytest.raises(SystemExit) as ended:
+    with mock.patch("bench.run.assembly.served.ScriptedOperator", make), pytest.raises(SystemExit) as ended:
         main(["run", "quick", "--bench", "paper-stand", "--dry-run", "--name", "run"])
     assert ended.value.code == 2
     said = capsys.readouterr().err

@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select, text
 
-from bench.api.errors import Refused
 from bench.catalogue import schema
 from bench.catalogue.answers import KINDS, answer
 from bench.catalogue.questions import run_folders
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
 from bench.catalogue.values import coefficient_table
+from bench.services.errors import Refused
 from tests.support.laboratory import write_run
 
 pytest.importorskip("psycopg", reason="the extra 'postgresql' is not installed")

@@ -7,12 +7,12 @@ from importlib.resources import files
 import pytest
 from sqlalchemy import func, inspect, select
 
-from bench.api.errors import Refused
 from bench.catalogue import schema
 from bench.catalogue.answers import answer
 from bench.catalogue.questions import run_folders
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
+from bench.services.errors import Refused
 from tests.support.certificates import copy_run
 from tests.support.laboratory import events_of, write_events, write_run
 

@@ -7,7 +7,7 @@ import pytest
 from bench.base.forms import FileMistakes
 from bench.certificate.laboratory import load_laboratory, load_order
 from bench.certificate.texts import LANGUAGES, texts_of
-from bench.files.shipped import CERTIFICATE, shipped_folder
+from bench.config.shipped import CERTIFICATE, shipped_folder
 from tests.support.certificates import write_files
 
 

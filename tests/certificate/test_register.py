@@ -5,9 +5,9 @@ import os
 
 import pytest
 
-from bench.api.errors import Refused
 from bench.certificate import register as module
 from bench.certificate.register import ISSUED, REVOKED, Entry, Register, opened
+from bench.services.errors import Refused
 
 LINES = module.LINES
 

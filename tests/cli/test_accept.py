@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.files.formulas import load_effects
-from bench.files.model import load_model
+from bench.config.formulas import load_effects
+from bench.config.model_file import load_model
 
 MODEL = """\
 model_file: 1

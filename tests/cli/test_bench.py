@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench.cli.app import main
-from bench.files.bench.file import load_bench
+from bench.config.bench_file.file import load_bench
 from bench.model import ForwardModel
 from bench.run.folder import Run
 from drivers.manual.head import ManualHead

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.analysis.budget.coefficients import make_budget
-from bench.analysis.calibration import CalibrationError, verify
-from bench.analysis.calibration.conformity import DecisionRule
+from bench.calibration import CalibrationError, verify
+from bench.calibration.budget.coefficients import make_budget
+from bench.calibration.conformity import DecisionRule
 from bench.model import Block
 from bench.readings.csv import write_csv
 from bench.readings.table import make_readings

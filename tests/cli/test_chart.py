@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from bench.api import check_block
-from bench.api.check_block import chart_of, check_block_runs
-from bench.api.check_runs import check_before
-from bench.api.errors import Refused
-from bench.api.execution import new_run
-from bench.files.bench.file import load_bench
+from bench.config.bench_file.file import load_bench
 from bench.run.folder import Run
+from bench.services import check_block
+from bench.services.check_block import chart_of, check_block_runs
+from bench.services.check_runs import check_before
+from bench.services.errors import Refused
+from bench.services.execution import new_run
 from tests.support.check_runs import measured, write_bench
 from tests.support.schemas import keeps_to
 
@@ -206,7 +206,9 @@ def test_a_run_that_ends_puts_itself_on_the_chart(laboratory, tmp_path, monkeypa
 def test_values_are_kept_by_the_head_of_their_record(there, monkeypatch):
     (run, *_) = check_block_runs(there, Path("runs"), simulated=True)
     kept = check_block.check_values(run)
-    monkeypatch.setattr("bench.api.check_block.calibration_of", lambda _: pytest.fail("calibrated again"))
+    monkeypatch.setattr(
+        "bench.services.check_block.calibration_of", lambda _: pytest.fail("calibrated again")
+    )
     again = check_block.check_values(Run(run.folder))
     assert (again.value == kept.value).all()
     assert (again.readings == kept.readings).all()

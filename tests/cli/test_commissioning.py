@@ -57,7 +57,7 @@ def test_a_dry_run_prints_what_it_finds_and_where_the_page_is(call):
 
 
 def test_json_alone_goes_to_standard_output_and_a_fault_decides_the_status(call):
-    from bench.files.shipped import find_bench
+    from bench.config.shipped import find_bench
 
     text = find_bench("bench-lan").read_text(encoding="utf-8")
     faults = "simulation:\n  faults: [{fault: overload, instrument: voltmeter.y, probability: 1}]\n"

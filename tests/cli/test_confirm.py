@@ -47,7 +47,7 @@ def test_what_is_there_again_is_confirmed(bench):
 
 
 def test_what_confirms_nothing_is_refused(bench):
-    from bench.api.source import Request, data_sha256, load_sources
+    from bench.services.source import Request, data_sha256, load_sources
 
     name = measured("first.csv", 73, 100e-6)
     (source,) = load_sources(Request([name], Path("runs")))

@@ -107,7 +107,7 @@ def test_a_mistake_of_the_program_says_in_which_command_and_what_to_do(bench, mo
     def lost(folder):
         raise KeyError("x")
 
-    monkeypatch.setattr("bench.api.records.run_summaries", lost)
+    monkeypatch.setattr("bench.services.records.run_summaries", lost)
     status, _, err = bench("runs")
     assert status == 2
     assert err == (

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import bench as program
-from bench.analysis.diagnosis.full import TooLittleLeft
-from bench.analysis.mistakes.search import Mistake
-from bench.api.source import Request, load_sources
 from bench.cli.diagnose import told
-from bench.files.model import load_model
+from bench.config.model_file import load_model
+from bench.diagnosis.full import TooLittleLeft
+from bench.diagnosis.mistakes.search import Mistake
 from bench.readings.csv import write_csv
+from bench.services.source import Request, load_sources
 from tests.support.diagnosis_bench import paper_run
 
 BOTH_WAYS = (1, -1, 1)

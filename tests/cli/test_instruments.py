@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from bench.api import instruments as command
-from bench.assembly.served import dry_bench
 from bench.cli.app import main
-from bench.files.bench.file import load_bench
-from bench.files.shipped import find_bench
+from bench.config.bench_file.file import load_bench
+from bench.config.shipped import find_bench
 from bench.model import ForwardModel
+from bench.run.assembly.served import dry_bench
+from bench.services import instruments as command
 from drivers.clock import SystemClock
 from drivers.interfaces import BenchError, Identity, InstrumentLost, InstrumentRefused, SelfTesting
 from drivers.wire.discovery import SOCKETS, SerialPort, discover

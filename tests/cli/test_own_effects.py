@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import bench as face
-from bench.api.own_effects import knowing_effects_on_record
-from bench.api.simulated_truth import simulated_truth
-from bench.files.bench.file import FileMistakes, load_bench
-from bench.files.formulas import load_effects
+from bench.config.bench_file.file import FileMistakes, load_bench
+from bench.config.formulas import load_effects
 from bench.model import CATALOGUE
 from bench.readings.csv import write_csv
 from bench.run.folder import Run
+from bench.services.own_effects import knowing_effects_on_record
+from bench.services.simulated_truth import simulated_truth
 from tests.support.paper_bench import simulate
 
 EFFECTS = """\
@@ -72,7 +72,7 @@ def test_a_file_with_mistakes_is_told_with_lines(files):
 
 @pytest.mark.slow
 def test_the_record_of_a_run_keeps_it(files, monkeypatch):
-    monkeypatch.setattr("bench.report.render_report", lambda _content: "")
+    monkeypatch.setattr("bench.results.render_report", lambda _content: "")
     command = ("run", "quick", "--dry-run", "--name", "own", "--model", "model.yaml")
     assert files(*command, "--effects", "mine.yaml")[0] in (0, 1)
     run = Run(Path("runs/own"))

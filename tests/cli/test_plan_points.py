@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.analysis.planning.settings import fitted, settings_of, verifying
-from bench.files.bench.file import load_bench
-from bench.files.shipped import find_bench
-from bench.procedure.check import check as check_against
-from bench.procedure.load import load_procedure
+from bench.config.bench_file.file import load_bench
+from bench.config.procedure.check import check as check_against
+from bench.config.procedure.load import load_procedure
+from bench.config.shipped import find_bench
+from bench.planning.settings import fitted, settings_of, verifying
 
 
 @pytest.mark.slow

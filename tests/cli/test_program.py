@@ -6,9 +6,9 @@ import sys
 
 import pytest
 
-from bench.api.errors import Refused
 from bench.cli import app, program
 from bench.run.interruptions import Interrupts
+from bench.services.errors import Refused
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def test_no_signal_takes_the_place_of_a_refusal_on_its_way(handler, monkeypatch,
 
     leave_now = Interrupts.__exit__
     monkeypatch.setattr(Interrupts, "__exit__", leave)
-    monkeypatch.setattr("bench.api.instruments.look_at", refused)
+    monkeypatch.setattr("bench.services.instruments.look_at", refused)
     monkeypatch.setattr(sys, "argv", ["bench", "instruments", "--bench", "paper-stand"])
     with Interrupts(), pytest.raises(SystemExit) as end:  # which gives all handlers back
         program.main()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.files.shipped import find_bench
+from bench.config.shipped import find_bench
 
 
 def one_sigma():

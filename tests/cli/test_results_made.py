@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.api import calibration
 from bench.cli import printing
 from bench.run.folder import RESULTS, Run
 from bench.run.interruptions import Interrupts
 from bench.run.states import RunState
+from bench.services import calibration
 
 pytestmark = pytest.mark.slow
 

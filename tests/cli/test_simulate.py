@@ -14,11 +14,11 @@ from typing import Any
 
 import pytest
 
-from bench.assembly.served import served_bench
 from bench.cli.app import main
-from bench.files.bench.file import load_bench
-from bench.files.shipped import find_bench
+from bench.config.bench_file.file import load_bench
+from bench.config.shipped import find_bench
 from bench.model import ForwardModel
+from bench.run.assembly.served import served_bench
 from sim.wires.server import TERMINALS
 from sim.world.clock import ScaledClock
 from tests.support.patience import PATIENCE_S, wait_for

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.procedure.load import load_procedure
-from bench.procedure.plan import Read
+from bench.config.procedure.load import load_procedure
+from bench.config.procedure.plan import Read
 
 DATA = Path(__file__).parents[1] / "data"
 

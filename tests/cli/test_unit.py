@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.api.errors import Refused
-from bench.api.execution import new_run
-from bench.api.source import Request, load_sources
 from bench.run.folder import Run
 from bench.run.record import Record
+from bench.services.errors import Refused
+from bench.services.execution import new_run
+from bench.services.source import Request, load_sources
 from drivers.clock import utc_now
 from tests.support.pages import ROOT
 

@@ -50,7 +50,7 @@ def ended(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.delenv("BENCH_FILE", raising=False)
-        patch.setattr("bench.report.plots._written", without_figures)
+        patch.setattr("bench.results.plots._written", without_figures)
         status = main(["run", "few.yaml", "--dry-run", "--name", "whole", "--until", GOAL])
     return folder, status
 
@@ -89,7 +89,7 @@ def test_a_run_ends_when_it_is_good_enough_and_its_calibration_states_that(ended
 def test_killed_and_resumed_it_chooses_and_reads_the_same(ended, part, monkeypatch):
     folder, _ = ended
     monkeypatch.chdir(folder)
-    monkeypatch.setattr("bench.report.plots._written", without_figures)
+    monkeypatch.setattr("bench.results.plots._written", without_figures)
     whole, killed = folder / "runs" / "whole", folder / "runs" / f"killed{part:g}"
     shutil.copytree(whole, killed)
     every = (killed / "events.jsonl").read_text().splitlines(keepends=True)

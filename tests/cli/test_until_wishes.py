@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.files.shipped import find_bench
+from bench.config.shipped import find_bench
 from bench.run.control import ControlFile, RunControl
 from bench.run.states import Wish
 from tests.cli.test_until import PROCEDURE, chosen, lines, readings

@@ -8,7 +8,7 @@ import pytest
 
 from bench.readings.csv import write_csv
 from bench.readings.table import make_readings
-from bench.report import plots
+from bench.results import plots
 from tests.cli.test_app import edited_stand
 from tests.support.paper_bench import U0, K, simulate, specific_force
 from tests.support.schemas import keeps_to

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 import yaml
 
-from bench.assembly.served import served_bench
 from bench.base.forms import FileMistakes
-from bench.devices.registry import devices
-from bench.devices.sections import ChamberTruth, HeadTruth, LevelTruth, SupplyTruth, ThermometerTruth
-from bench.devices.voltmeters import VoltmeterTruth
-from bench.files.bench.file import load_bench
+from bench.config.bench_file.file import load_bench
+from bench.config.devices.registry import devices
+from bench.config.devices.sections import ChamberTruth, HeadTruth, LevelTruth, SupplyTruth, ThermometerTruth
+from bench.config.devices.voltmeters import VoltmeterTruth
 from bench.model import ForwardModel
+from bench.run.assembly.served import served_bench
 from bench.run.folder import Run
 from drivers.interfaces import (
     BadReading,
@@ -80,7 +80,7 @@ def test_its_declaration_holds(device, tmp_path):
 @pytest.mark.slow
 @every
 def test_a_bench_with_it_is_checked_and_runs_dry(bench, tmp_path, monkeypatch, device):
-    monkeypatch.setattr("bench.report.render_report", lambda _content: "")
+    monkeypatch.setattr("bench.results.render_report", lambda _content: "")
     path = written_bench(device, tmp_path)
     status, out, err = bench("check", "quick", "--bench", path)
     assert (status, err) == (0, ""), out

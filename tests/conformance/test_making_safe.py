@@ -11,7 +11,7 @@ from typing import Any, get_args
 
 import pytest
 
-from bench.devices.device import Device
+from bench.config.devices.device import Device
 from bench.run.power import Feeding, UnitPower
 from bench.run.way_out import leave_safe
 from bench.run.workbench import Instruments

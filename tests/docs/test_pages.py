@@ -16,11 +16,11 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from bench.analysis.calibration import ESTIMATORS, calibrate
 from bench.batch.work import worked
+from bench.calibration import ESTIMATORS, calibrate
 from bench.cli.commands import COMMANDS
 from bench.cli.options import app
-from bench.files.model import load_model
+from bench.config.model_file import load_model
 from bench.model import Conditions
 from bench.model import block as blocks_model
 from bench.model.conditions import Mounting

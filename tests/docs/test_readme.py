@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from bench.assembly.served import dry_bench
 from bench.base.extras import EXTRAS
 from bench.model import ForwardModel
+from bench.run.assembly.served import dry_bench
 from tests.support.certified_bench import meter_certificate, table_certificate
 from tests.support.pages import ROOT, blocks, commands
 
@@ -56,7 +56,7 @@ def on_simulated_instruments(monkeypatch) -> Iterator[None]:
             return benches[file.name]
 
         for user in ("execution", "instruments"):
-            monkeypatch.setattr(f"bench.api.{user}.real_bench", real_bench)
+            monkeypatch.setattr(f"bench.services.{user}.real_bench", real_bench)
         yield
 
 

@@ -5,12 +5,12 @@ import re
 import pytest
 import yaml
 
-from bench.analysis.calibration import ESTIMATORS
-from bench.files.bench.file import BenchFile
-from bench.files.model import load_model
-from bench.files.shipped import CONFIG, PROCEDURES, shipped_folder
+from bench.calibration import ESTIMATORS
+from bench.config.bench_file.file import BenchFile
+from bench.config.model_file import load_model
+from bench.config.procedure.file import VERBS, ProcedureFile
+from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.model.effects import CATALOGUE
-from bench.procedure.file import VERBS, ProcedureFile
 from bench.readings import csv
 from docs.generators import PAGES, write_pages
 from docs.generators.commands import commands

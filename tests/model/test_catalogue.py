@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bench.analysis.calibration.design import FIXED, make_problem
-from bench.files.model import load_model, write_model_file
+from bench.calibration.design import FIXED, make_problem
+from bench.config.model_file import load_model, write_model_file
 from bench.model import CATALOGUE, AppliedEffect, Block, Conditions, ForwardModel, Installation
 from bench.readings.table import make_readings, scan_order
 from tests.support.effect_bench import BLOCK, effect

@@ -6,11 +6,11 @@ import shutil
 
 import pytest
 
-from bench.api.records import run_summary
 from bench.panel.access import Refusal
 from bench.panel.folder import RunsFolder, read_page
 from bench.panel.table import UNREAD, RunsTable, state_at_the_end
 from bench.run.folder import Run
+from bench.services.records import run_summary
 from tests.support.pages import ROOT
 from tests.support.panel_client import Browser
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.procedure.plan import Plan, SetTemperature, Settle, Wait
+from bench.config.procedure.plan import Plan, SetTemperature, Settle, Wait
 from bench.run.sentences import sentence
 from bench.run.settling import SLOW_AFTER_S, ChamberWatch
 from drivers.interfaces import InstrumentLost

@@ -5,9 +5,9 @@ from datetime import UTC, datetime
 
 import pytest
 
-from bench.assembly.served import dry_bench
+from bench.config.procedure.plan import Mount, Plan, Read, SetTemperature, Turn
 from bench.model import ForwardModel
-from bench.procedure.plan import Mount, Plan, Read, SetTemperature, Turn
+from bench.run.assembly.served import dry_bench
 from bench.run.control import RunControl
 from bench.run.history import read_history
 from bench.run.record import Record
@@ -54,7 +54,7 @@ class Trouble:
 )
 def test_every_way_out_leaves_the_bench_safe(tmp_path, monkeypatch, trouble, state):
     served = {}
-    monkeypatch.setattr("bench.assembly.served.SimulatedBench", _remembering(served))
+    monkeypatch.setattr("bench.run.assembly.served.SimulatedBench", _remembering(served))
     bench = edited(tmp_path, "bench-motorised")
     record = Record.create(tmp_path / "run", {}, {}, lambda: NOON)
     with dry_bench(bench, ForwardModel(bench.installation_models()), seed=1) as assembly:

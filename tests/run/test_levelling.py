@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.base.arrays import ARCSEC
-from bench.procedure.plan import Level
+from bench.config.procedure.plan import Level
 from bench.run.events import result_from_json, result_to_json
 from bench.run.levelling import Levelling
 from bench.run.workbench import Instruments

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from bench.procedure.plan import Plan, Power, Read
+from bench.config.procedure.plan import Plan, Power, Read
 from bench.run.control import RunControl
 from bench.run.power import ANEW, RailFault
 from bench.run.record import Record

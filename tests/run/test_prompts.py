@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from bench.procedure.plan import Mount
+from bench.config.procedure.plan import Mount
 from bench.run.answers import agree, ask, confirm
 from bench.run.control import ControlFile, OperatorWish, RunControl, leave_wish
 from bench.run.mounting import mount_prompt

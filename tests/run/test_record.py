@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.procedure.plan import Plan, Wait
+from bench.config.procedure.plan import Plan, Wait
 from bench.run.history import read_history
 from bench.run.manifest import EVENTS, MANIFEST, RecordError
 from bench.run.record import Record

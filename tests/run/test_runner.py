@@ -5,7 +5,7 @@ import dataclasses
 
 import pytest
 
-from bench.procedure.plan import OnFailure, Plan, SetTemperature
+from bench.config.procedure.plan import OnFailure, Plan, SetTemperature
 from bench.readings.reading import Reading, readings_of
 from bench.run.manifest import RecordError
 from bench.run.mounting import UNTOUCHED

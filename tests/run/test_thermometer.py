@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.analysis.budget.meters import thermometer_size
 from bench.base.forms import FileMistakes
-from bench.files.bench.file import load_bench
-from bench.files.bench.traceability import corrections_of
-from bench.files.shipped import find_bench
+from bench.calibration.budget.meters import thermometer_size
+from bench.config.bench_file.file import load_bench
+from bench.config.bench_file.traceability import corrections_of
+from bench.config.shipped import find_bench
 from bench.readings.csv import read_csv
 from bench.run.folder import Run
 from drivers.interfaces import Answer, BadReading, LimitExceeded
@@ -39,7 +39,7 @@ def meter_resource():
 
 @pytest.mark.slow
 def test_beside_the_signals_it_tells_the_temperature_of_each_reading(bench, tmp_path, monkeypatch):
-    monkeypatch.setattr("bench.report.render_report", lambda _content: "")
+    monkeypatch.setattr("bench.results.render_report", lambda _content: "")
     path = with_thermometer(tmp_path, BESIDE % (meter_resource(), 104))
     status, out, err = bench("run", "quick", "--dry-run", "--bench", path, "--name", "a", "--seed", "5")
     assert (status < 2, err) == (True, ""), out

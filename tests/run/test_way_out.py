@@ -6,7 +6,7 @@ from contextlib import closing
 
 import pytest
 
-from bench.procedure.plan import Plan, SetTemperature
+from bench.config.procedure.plan import Plan, SetTemperature
 from bench.run.interruptions import SIGNALS, Interrupts
 from bench.run.record import RecordError
 from bench.run.way_out import with_notes

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bench.analysis.budget.error_source import ErrorSource
-from bench.analysis.budget.setup import Setup
-from bench.analysis.budget.sources import stand_source
+from bench.calibration.budget.error_source import ErrorSource
+from bench.calibration.budget.setup import Setup
+from bench.calibration.budget.sources import stand_source
 from bench.model import AppliedEffect, Block, Conditions, Distribution, ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from tests.support.paper_bench import ARCSEC, U0, K, design

@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-from bench.files.shipped import CERTIFICATE, shipped_folder
+from bench.config.shipped import CERTIFICATE, shipped_folder
 
 RECORDED = Path(__file__).parents[1] / "data" / "records" / "finished"
 ORDER = {"units": [{"received": "2026-11-16", "condition": "undamaged", "state": "as found"}]}

@@ -6,8 +6,8 @@ from typing import Any
 
 import yaml
 
-from bench.files.bench.file import BenchFile, load_bench
-from bench.files.shipped import find_bench
+from bench.config.bench_file.file import BenchFile, load_bench
+from bench.config.shipped import find_bench
 
 HELD: dict[str, Any] = {"number": "C-1", "laboratory": "Met Lab", "date": "2026-01-01"}
 

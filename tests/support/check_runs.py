@@ -8,9 +8,9 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.api.execution import carry_out, new_run
-from bench.files.shipped import find_bench
+from bench.config.shipped import find_bench
 from bench.run.folder import Run
+from bench.services.execution import carry_out, new_run
 
 SECTION = "\ncheck_block:\n  serial: CHECK-1\n  rule: refuse\n  baseline: 3\n"
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
-from bench.commission.session import Evening, Listening, WireWatch
-from bench.files.bench.file import BenchFile, load_bench
-from bench.files.shipped import find_bench
+from bench.config.bench_file.file import BenchFile, load_bench
+from bench.config.shipped import find_bench
+from bench.run.commission.session import Evening, Listening, WireWatch
 from bench.run.workbench import Instruments
 from drivers.interfaces import (
     Answer,

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.assembly.served import Assembly, dry_bench
 from bench.base.arrays import CHANNELS
-from bench.files.bench.file import BenchFile, load_bench
-from bench.files.shipped import find_bench
+from bench.config.bench_file.file import BenchFile, load_bench
+from bench.config.shipped import find_bench
 from bench.model import ForwardModel
+from bench.run.assembly.served import Assembly, dry_bench
 from bench.run.way_out import leave_safe
 from bench.run.workbench import Instruments
 from drivers.interfaces import Channel, VoltmeterSettings

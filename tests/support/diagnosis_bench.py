@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.analysis.diagnosis.candidates import Candidates, make_candidates
-from bench.analysis.diagnosis.evidence import Whitened
-from bench.analysis.diagnosis.linear import LinearSystem, make_linear
-from bench.analysis.diagnosis.noise_grid import make_noise_grid
+from bench.diagnosis.candidates import Candidates, make_candidates
+from bench.diagnosis.evidence import Whitened
+from bench.diagnosis.linear import LinearSystem, make_linear
+from bench.diagnosis.noise_grid import make_noise_grid
 from bench.model import ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings

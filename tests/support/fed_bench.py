@@ -6,8 +6,8 @@ from typing import Any, Final
 
 import yaml
 
-from bench.files.bench.file import BenchFile, load_bench
-from bench.files.shipped import find_bench
+from bench.config.bench_file.file import BenchFile, load_bench
+from bench.config.shipped import find_bench
 
 P15: Final = {
     "name": "p15",

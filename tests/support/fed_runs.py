@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from bench.files.bench.rails import UnitSupplySection
-from bench.procedure.plan import Plan
+from bench.config.bench_file.rails import UnitSupplySection
+from bench.config.procedure.plan import Plan
 from bench.run.power import Feeding
 from bench.run.record import Record
 from bench.run.runner import Runner

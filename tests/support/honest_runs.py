@@ -5,9 +5,9 @@ from functools import cache
 
 import numpy as np
 
-from bench.analysis.calibration import Calibration, CalibrationError, calibrate
-from bench.analysis.calibration.result import COVERAGE_FACTOR, NoisePrior
 from bench.base.arrays import Floats
+from bench.calibration import Calibration, CalibrationError, calibrate
+from bench.calibration.result import COVERAGE_FACTOR, NoisePrior
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings

@@ -16,18 +16,18 @@ from typing import Any, get_args
 
 import yaml
 
-from bench.assembly.instruments import (
+from bench.config.bench_file.file import BenchFile, load_bench
+from bench.config.devices.device import Device, Role
+from bench.config.devices.registry import devices
+from bench.config.shipped import find_bench
+from bench.model import ForwardModel
+from bench.run.assembly.instruments import (
     Surroundings,
     instruments_of,
     operator_of,
     simulated_instruments,
     world_of,
 )
-from bench.devices.device import Device, Role
-from bench.devices.registry import devices
-from bench.files.bench.file import BenchFile, load_bench
-from bench.files.shipped import find_bench
-from bench.model import ForwardModel
 from drivers.interfaces import VoltmeterSettings
 from drivers.wire.visa import MessageSession
 from sim.bench import SimulatedBench, SimulatedMeter

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from bench.base.arrays import ARCSEC
-from bench.files.bench.file import load_bench
-from bench.files.bench.learned import arcsec, learned_for, write_learned
+from bench.config.bench_file.file import load_bench
+from bench.config.bench_file.learned import arcsec, learned_for, write_learned
 
 SHIPPED = Path(__file__).parents[2] / "config" / "paper-stand.yaml"
 KINDS = ("axis_tilt", "zero_offset", "mounting_error", "mounting_roll")

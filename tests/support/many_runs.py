@@ -7,10 +7,10 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from bench.api.calibration import calibration_of
-from bench.api.source import Request, load_sources
-from bench.api.verification import verification_of
 from bench.base.atomic_files import to_text
+from bench.services.calibration import calibration_of
+from bench.services.source import Request, load_sources
+from bench.services.verification import verification_of
 
 RECORD = Path(__file__).parents[1] / "data" / "records" / "finished"
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.analysis.mistakes.search import MistakeSearch, find_mistakes
 from bench.base.arrays import Floats
+from bench.diagnosis.mistakes.search import MistakeSearch, find_mistakes
 from bench.model import ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings

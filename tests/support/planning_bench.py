@@ -4,14 +4,14 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from bench.analysis.planning.optimal_design import Goal, whole_goal
-from bench.analysis.planning.points import Sites
-from bench.analysis.planning.settings import Cost, fitted, settings_of
-from bench.analysis.planning.stand import Stand
-from bench.files.bench.file import load_bench
-from bench.files.shipped import find_bench, find_procedure
+from bench.config.bench_file.file import load_bench
+from bench.config.procedure.load import load_procedure
+from bench.config.shipped import find_bench, find_procedure
 from bench.model import Block, ForwardModel, Mounting
-from bench.procedure.load import load_procedure
+from bench.planning.optimal_design import Goal, whole_goal
+from bench.planning.points import Sites
+from bench.planning.settings import Cost, fitted, settings_of
+from bench.planning.stand import Stand
 from tests.support.paper_bench import U0, K
 
 BENCH = load_bench(find_bench("paper-stand"))

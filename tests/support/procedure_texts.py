@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from bench.base.forms import FileMistakes
-from bench.procedure.load import Procedure, load_procedure
-from bench.procedure.plan import Plan, Read
+from bench.config.procedure.load import Procedure, load_procedure
+from bench.config.procedure.plan import Plan, Read
 
 TWO_INSTALLATIONS = """\
 procedure: two

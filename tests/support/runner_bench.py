@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.arrays import CHANNELS
-from bench.procedure.plan import Ask, Mount, OnFailure, Plan, Read, Step, Turn, Wait
+from bench.config.procedure.plan import Ask, Mount, OnFailure, Plan, Read, Step, Turn, Wait
 from bench.run.history import History, read_history
 from bench.run.record import Record
 from bench.run.runner import Runner

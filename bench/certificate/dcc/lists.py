@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from bench.api.coefficients import impossible
 from bench.base.arrays import Floats
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, Node, read_unit
+from bench.services.coefficients import impossible
 
 Dimension = tuple[tuple[str, int], ...]
 

@@ -16,8 +16,6 @@ import yaml
 from lxml import etree
 from pydantic import ValidationError
 
-from bench.api.coefficients import coefficients_of
-from bench.api.errors import Refused
 from bench.base.arrays import Floats
 from bench.base.atomic_files import from_text
 from bench.base.files import read_regular
@@ -25,8 +23,10 @@ from bench.base.visible import visible
 from bench.certificate.dcc.lists import Dimension, NotRead, RealList, real_lists
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, Node
 from bench.certificate.dcc.rules import parser
-from bench.devices.certificates import ChamberCertificate, HeadCertificate
+from bench.config.devices.certificates import ChamberCertificate, HeadCertificate
 from bench.model.block import COEFFICIENTS
+from bench.services.coefficients import coefficients_of
+from bench.services.errors import Refused
 
 MOST_BYTES: Final = 64_000_000
 OURS: Final = "bench_coefficients"

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 from scipy import special
 
-from bench.analysis.budget.whole import dof_through
-from bench.analysis.calibration import Verification, VerificationPoint
-from bench.analysis.calibration.conformity import Statement
 from bench.base.arrays import Floats
+from bench.calibration import Verification, VerificationPoint
+from bench.calibration.budget.whole import dof_through
+from bench.calibration.conformity import Statement
 from bench.certificate.content import (
     Certificate,
     Condition,

@@ -13,12 +13,12 @@ from typing import Any, Final
 import numpy as np
 from lxml import etree
 
-from bench.api.coefficients import impossible
-from bench.api.errors import Refused
 from bench.base.visible import shortened
 from bench.base.words import repeated
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SI_VERSION, SIGNATURE, VERSION, Node, read_unit
 from bench.certificate.laboratory import SIMULATED_SERIES
+from bench.services.coefficients import impossible
+from bench.services.errors import Refused
 
 _TEXT: Final = "content+"
 _RICH: Final = "name? content* formula*"

@@ -9,13 +9,13 @@ from hashlib import sha256
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Final
 
-from bench.api.errors import Refused
 from bench.base.files import MEGABYTE, read_regular
 from bench.base.numbers import rounded, uncertainty
 from bench.certificate.content import Attached, Certificate, day_of
 from bench.certificate.laboratory import Contact
 from bench.certificate.paper import proof
 from bench.certificate.paper.proof import NOBODY_SAYS, Block, Cell, Writer, plain
+from bench.services.errors import Refused
 
 DCC: Final = "dcc.xml"
 """The name under which the digital certificate is attached."""

@@ -7,10 +7,10 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
 
-from bench.analysis.calibration.verification import optional_probability, probability_in_words
 from bench.base.arrays import ARCSEC
 from bench.base.numbers import aligned, fixed, quantity, rounded, two_digits, typeset, uncertainty
 from bench.base.visible import visible
+from bench.calibration.verification import optional_probability, probability_in_words
 from bench.certificate.content import (
     Certificate,
     Condition,
@@ -22,7 +22,7 @@ from bench.certificate.content import (
     stated,
     uncertified,
 )
-from bench.report.plots import residuals_by_angle, verification_points
+from bench.results.plots import residuals_by_angle, verification_points
 
 Block = dict[str, Any]
 Cell = str | list[str] | dict[str, Any]

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import unquote, unquote_to_bytes
 
-from bench.api.errors import Refused
 from bench.base.files import read_given
 from bench.run.seal import read_private, write_private
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
 
-from bench.api.errors import Refused
 from bench.certificate.signature.signatory import Signatory
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate

@@ -12,11 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from bench.analysis.calibration import CalibrationError
-from bench.analysis.calibration.conformity import SIMPLE, DecisionRule
-from bench.api.errors import Refused
-from bench.api.verification import NOTHING_ASKED, Asked
 from bench.base.files import read_regular
+from bench.calibration import CalibrationError
+from bench.calibration.conformity import SIMPLE, DecisionRule
 from bench.certificate.content import Found
 from bench.certificate.gather import found_by
 from bench.certificate.register import ISSUED, LINES, Register
@@ -24,6 +22,8 @@ from bench.certificate.verify.shown import Shown
 from bench.run.folder import find_run
 from bench.run.manifest import MANIFEST, RecordError, sha256
 from bench.run.seal import Seal
+from bench.services.errors import Refused
+from bench.services.verification import NOTHING_ASKED, Asked
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from bench.api.errors import Refused
 from bench.base.files import read_given
 from bench.certificate.paper.check import faults_of
 from bench.certificate.paper.page import DCC, RELATIONS
@@ -28,6 +27,7 @@ from bench.certificate.signature.xades import (
 )
 from bench.certificate.verify.record import Standing, held_against_record, held_against_register
 from bench.certificate.verify.shown import Shown, shown_of
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate

@@ -11,7 +11,7 @@ from typing import Final
 
 from bench.base.computing import uncollected
 from bench.base.files import open_regular
-from bench.procedure.plan import Mount, Plan, Read, SetTemperature, Settle, Step, Turn, Wait
+from bench.config.procedure.plan import Mount, Plan, Read, SetTemperature, Settle, Step, Turn, Wait
 from bench.readings.reading import Reading
 from bench.run.answers import AskedPrompt
 from bench.run.events import CameToRest, Event, EventType, Turned

@@ -12,11 +12,11 @@ from bench.base.arrays import CHANNELS
 from bench.base.numbers import fixed, places, quantity
 from bench.base.words import APPROACH
 from bench.base.words import duration as exact_duration
+from bench.config.procedure.plan import Mount, Read, Settle, Step, Turn, Wait
+from bench.config.procedure.steps import precision_in_words
 from bench.model.geometry import Installation
 from bench.panel.following.events import Seen
 from bench.panel.mounting_drawing import mounting, turn
-from bench.procedure.plan import Mount, Read, Settle, Step, Turn, Wait
-from bench.procedure.steps import precision_in_words
 from bench.readings.reading import Reading
 from bench.run.answers import REASON, AskedPrompt
 from bench.run.events import Event

@@ -13,13 +13,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.api.own_effects import knowing_effects_on_record
 from bench.base.forms import FileMistakes
 from bench.base.numbers import without_infinity
-from bench.files.bench.file import BenchFile, load_bench
+from bench.config.bench_file.file import BenchFile, load_bench
+from bench.config.procedure.plan import Mount, Plan, Read
 from bench.panel.following.events import Seen, Tail
 from bench.panel.following.snapshot import About, snapshot
-from bench.procedure.plan import Mount, Plan, Read
 from bench.readings.reading import Reading
 from bench.run.answers import AskedPrompt
 from bench.run.events import Event, EventType
@@ -28,6 +27,7 @@ from bench.run.manifest import RecordError
 from bench.run.record import is_being_written
 from bench.run.terminal import TimeLeft
 from bench.run.watch.early_warning import watcher_of
+from bench.services.own_effects import knowing_effects_on_record
 from drivers.clock import Clock, SystemClock, utc_now
 
 MOST_POINTS: Final = 200

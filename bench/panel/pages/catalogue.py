@@ -39,7 +39,7 @@ async def unit(request: Request) -> Response:
     looking(request)
     name = request.path_params["unit"][:LONGEST]
     history = await run_in_threadpool(_history, _where(request), name)
-    from bench.report.unit import coefficient_rows
+    from bench.results.unit import coefficient_rows
 
     told = history.to_json()
     return page(
@@ -91,7 +91,7 @@ def _history(where: str, unit: str) -> UnitHistory:
 def _figure(where: str, unit: str) -> str:
     from bench.catalogue.store import open_catalogue
     from bench.catalogue.unit import in_json, unit_calibrations
-    from bench.report.unit import unit_file
+    from bench.results.unit import unit_file
 
     with open_catalogue(where, existing=True) as catalogue:
         calibrations = in_json(unit_calibrations(catalogue, unit))

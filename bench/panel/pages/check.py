@@ -27,9 +27,9 @@ async def check(request: Request) -> Response:
 
 
 def _drawn(folder: Path, real: bool | None) -> str:
-    from bench.api.check_block import chart_of
-    from bench.api.check_runs import charted_runs
-    from bench.report.control_chart import ChartOfBlock, render_chart
+    from bench.results.control_chart import ChartOfBlock, render_chart
+    from bench.services.check_block import chart_of
+    from bench.services.check_runs import charted_runs
 
     taken = charted_runs([str(folder)], folder, None, real=real)
     found = chart_of(taken.runs, taken.section, of_bench=taken.bench_file, folder=folder)

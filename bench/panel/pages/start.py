@@ -11,7 +11,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from bench.base.visible import visible
-from bench.files.shipped import CONFIG, PROCEDURES
+from bench.config.shipped import CONFIG, PROCEDURES
 from bench.panel.access import Person, Refusal, Role
 from bench.panel.acting import acting, looking, panel_of
 from bench.panel.holding import change, read_holding

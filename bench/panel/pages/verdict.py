@@ -9,7 +9,6 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from bench.api.errors import Refused
 from bench.panel.access import Refusal, Role
 from bench.panel.acting import acting, looking, panel_of
 from bench.panel.folder import Issued, read_page
@@ -19,6 +18,7 @@ from bench.panel.pages.shown import APART, page
 from bench.panel.results import DIAGNOSIS, REPORT, figure_of, is_plain, results_of
 from bench.run.folder import Run
 from bench.run.states import RunState
+from bench.services.errors import Refused
 
 MOST_TOLD: Final = 50
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.files.bench.file import BenchFile
+from bench.config.bench_file.file import BenchFile
+from bench.config.procedure.plan import Plan, Read
 from bench.model.block import Block
 from bench.model.forward import ForwardModel
-from bench.procedure.plan import Plan, Read
 from bench.readings.reading import Reading, readings_of
 from bench.readings.table import UNORIENTED
 from bench.run.events import Event, EventType, Mounted

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from bench.analysis.budget.whole import dof_through
-from bench.api.verification import Asked, verification_of
+from bench.calibration.budget.whole import dof_through
 from bench.certificate.content import Before, uncertified
 from bench.certificate.dcc.document import document_of
 from bench.certificate.dcc.nodes import NAMESPACES
@@ -17,6 +16,7 @@ from bench.certificate.dcc.results import region_factor
 from bench.certificate.dcc.rules import broken_rules
 from bench.certificate.paper import proof
 from bench.certificate.paper.proof import Writer
+from bench.services.verification import Asked, verification_of
 from tests.support.certificates import ORDER
 
 

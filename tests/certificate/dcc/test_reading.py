@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
-from bench.api.coefficients import coefficients_of
 from bench.certificate.dcc.document import document_of
-from bench.devices.certificates import HeadCertificate
+from bench.config.devices.certificates import HeadCertificate
 from bench.model.block import COEFFICIENTS
+from bench.services.coefficients import coefficients_of
 from tests.support.schemas import keeps_to
 
 HEAD = """<dcc:digitalCalibrationCertificate xmlns:dcc="https://ptb.de/dcc" xmlns:si="https://ptb.de/si"

@@ -2,9 +2,9 @@
 
 import pytest
 
-from bench.api.errors import Refused
 from bench.certificate.dcc.document import document_of
 from bench.certificate.dcc.rules import broken_rules, read_schemas
+from bench.services.errors import Refused
 
 SCHEMA = (
     '<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" version="{}" targetNamespace="{}" {}</xs:schema>'

@@ -9,7 +9,6 @@ from dataclasses import replace
 import pikepdf
 import pytest
 
-from bench.api.errors import Refused
 from bench.certificate.content import Before, Issue, Item
 from bench.certificate.gather import certificate_of
 from bench.certificate.laboratory import Person, load_laboratory, load_order
@@ -17,6 +16,7 @@ from bench.certificate.paper.check import faults_of
 from bench.certificate.paper.page import body_of
 from bench.certificate.signature.xades import check_pdf, sign_pdf
 from bench.certificate.texts import texts_of
+from bench.services.errors import Refused
 from tests.support.certificates import ORDER, copy_run, write_files
 from tests.support.signed import NOW, a_signatory
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
-from bench.api.errors import Refused
 from bench.certificate.signature.signatory import (
     certificates_in,
     fingerprint_of,
@@ -20,6 +19,7 @@ from bench.certificate.signature.signatory import (
 )
 from bench.certificate.signature.xades import check_pdf, check_xml, sign_pdf, sign_xml
 from bench.run.manifest import RecordError
+from bench.services.errors import Refused
 from tests.support.signed import NOW, authority, blank_pdf, certified, in_file, no_passphrase
 
 XML = b"<a><b>1</b></a>"

@@ -1,1 +1,0 @@
-"""What readings tell: coefficients, budgets, plans, temperature, stability, history, mistakes, the diagnosis."""

@@ -1,0 +1,66 @@
+"""What a request is: a frozen dataclass whose fields are the options of a command and the parameters of a call.
+
+    @dataclass(frozen=True)
+    class Confirm:
+        source: Annotated[Data, Option("New readings: a run or a readings file.", argument=True)]
+        model: Annotated[Path, Option("Model file of 'diagnose', found in other readings.", metavar="FOUND")]
+        g: Annotated[float | None, Option("Local gravity, m/s².", metavar="M/S2")] = None
+
+The command line, the Python face and the panel's forms are made of it (`bench.cli.requested`, `bench.services.face`,
+`bench.panel.launching`). Nothing heavy is imported here: a command's help needs no more than its request.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
+
+NOT_GIVEN: Final = inspect.Parameter.empty
+
+
+@dataclass(frozen=True)
+class Option:
+    """What a field of a request is to its user: a line of help, and how it is typed.
+
+    `flags` are "--name" by default, of a flag that is on "--name/--no-name"; an `argument` has none. `completes`
+    names what completes it ("bench_files", "sources", …; `bench.cli.completing`), `least` the smallest number.
+    `typed` is what the command line reads, where the field takes more (a table, a bench file at hand). `takes` tells
+    in words and in code what a caller in Python may give, where its type does not.
+    """
+
+    help: str
+    flags: tuple[str, ...] = ()
+    metavar: str | None = None
+    argument: bool = False
+    completes: str | None = None
+    environment: str | None = None
+    least: float | None = None
+    typed: Any = None
+    takes: tuple[Callable[[Any], bool], str] | None = None
+
+
+@dataclass(frozen=True)
+class RequestField:
+    """A field of a request: its name, type, default (`NOT_GIVEN` where it must be given), and what it is."""
+
+    name: str
+    type: Any
+    default: Any
+    option: Option
+
+
+def fields_of(request: type) -> Iterator[RequestField]:
+    """Yield the fields of a request that a user gives, in the order in which the help lists them."""
+    hints = get_type_hints(request, include_extras=True)
+    for field in dataclasses.fields(request):
+        hint = hints[field.name]
+        if get_origin(hint) is not Annotated:
+            continue
+        kind, *told = get_args(hint)
+        option = next((one for one in told if isinstance(one, Option)), None)
+        if option is not None:
+            default = NOT_GIVEN if field.default is dataclasses.MISSING else field.default
+            yield RequestField(field.name, kind, default, option)

@@ -1,0 +1,247 @@
+"""Errors of a bench by name: size, distribution, what shares them; as learned; of the foundation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+
+from bench.base.arrays import ARCSEC, CHANNELS, Floats, rms
+from bench.calibration.design import EffectUnknown
+from bench.calibration.known import KnownNoise, KnownStand
+from bench.config.bench_file.file import BenchFile
+from bench.model.block import Block
+from bench.model.conditions import Conditions, Mounting
+from bench.model.distribution import Distribution
+from bench.model.geometry import STAND_ANGLES, Installation
+from bench.readings.columns import drift_rad_s
+from bench.readings.corrected import DAY, FOUNDATION
+from bench.readings.table import Readings
+
+Common = Literal["reading", "setting", "angle", "orientation", "mounting", "time", "run"]
+"""What shares one draw of an error: a single signal, the three of a setting of the head, all settings at one angle
+of it, all readings in one orientation, all of one mounting, readings soon after each other, everything."""
+
+Group = Literal["stand", "scale", "block"]
+"""Which errors a source belongs to: the stand's and the readings' own, which `bench calibrate` states; those
+of scale and zero, which no reading shows; what the model of the block leaves out or has in addition."""
+
+_SHOWN: Final[Mapping[str, tuple[str, float]]] = {
+    "rad": ("arcsec", ARCSEC),
+    "rad/s": ("arcsec a day", ARCSEC / DAY),
+    "V": ("µV", 1e-6),
+    "1": ("ppm", 1e-6),
+    "g": ("µg", 1e-6),
+    "1/g": ("µg/g²", 1e-6),
+    "1/g^2": ("µg/g³", 1e-6),
+}
+
+
+@dataclass(frozen=True)
+class ErrorSource:
+    """An error with its distribution in `unit` (SI), what it is common to and its degrees of freedom.
+
+    `origin` says where the size comes from; `prior` that it is a plausible size and not a stated one.
+    `factors` scale the error where it acts (the temperature coefficients, per K). The parameter of an effect
+    has `effect`, and in `written_in` the unit in which files state it with its size in SI. `channels` are
+    those that it is of: K2 and K3 are not of one for which the model has such an effect, a voltmeter's are its own.
+    Draws that hang together have a `root`: what makes theirs (q) of independent ones (k), q rows of k.
+    `angles` are the kinds of the stand's angles whose means of all mountings it is. What readings soon after each
+    other share has a correlation time, `correlation_s`.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    distribution: Distribution
+    common: Common
+    group: Group
+    origin: str
+    dof: float = math.inf
+    prior: bool = False
+    factors: Mapping[str, float] | None = None
+    effect: EffectUnknown | None = None
+    channels: tuple[str, ...] = CHANNELS
+    root: tuple[tuple[float, ...], ...] | None = None
+    angles: tuple[str, ...] = ()
+    correlation_s: float = math.inf
+    written_in: tuple[str, float] = ("", 1.0)
+
+    @property
+    def kind(self) -> str:
+        """Its name without whose it is: "voltmeter_gain" of "voltmeter_gain[x]"."""
+        return self.name.partition("[")[0]
+
+    @property
+    def u(self) -> float:
+        """Standard uncertainty, in `unit`."""
+        return self.distribution.u
+
+    @property
+    def shown(self) -> str:
+        """The standard uncertainty in the unit in which files state it: "1.67 arcsec"."""
+        unit, size = _SHOWN.get(self.unit, (self.unit, 1.0)) if self.effect is None else self.written_in
+        if self.unit == "V" and self.effect is None and self.u >= 1e-3:
+            unit, size = "mV", 1e-3
+        return f"{self.u / size:.3g} {unit}"
+
+    @property
+    def on_channels(self) -> Floats:
+        """1 for a channel that it is of, 0 for another, shape (3,)."""
+        return np.array([float(channel in self.channels) for channel in CHANNELS])
+
+    def acting(self, draws: Floats) -> Floats:
+        """Return what each of its draws (..., q) does that are one unit large, for draws one u large."""
+        return self.u * draws if self.root is None else self.u * draws @ np.array(self.root)
+
+    def sized(self, u: float) -> ErrorSource:
+        """Return the source with another standard uncertainty, normally distributed."""
+        return replace(self, distribution=Distribution(u), origin="as asked")
+
+
+MEANS: Final = "stand_means"
+LEARNED: Final = "learned of the bench"
+
+
+def learned_sources(
+    stated: Sequence[ErrorSource], known: KnownStand, mounts: Sequence[Mounting]
+) -> tuple[ErrorSource, ...]:
+    """Return the sources of a stand's errors for readings in these mountings, as a calibration takes what is known.
+
+    An angle of a mounting is a mean that others share and its own departure: `stated` sources keep their names for
+    the latter, and the former, which hang together, are one source. Noise has its size in each channel.
+    """
+    return tuple(_sources(stated, known, mounts))
+
+
+def _sources(
+    stated: Sequence[ErrorSource], known: KnownStand, mounts: Sequence[Mounting]
+) -> Iterator[ErrorSource]:
+    labels = [mount.installation for mount in mounts]
+    angles = [s for s in stated if s.name in STAND_ANGLES and s.u > 0]
+    yield from _means(tuple(s.name for s in angles), known, labels)
+    for source in stated:
+        if source in angles:
+            told = [known.place(source.name, label) is not None for label in labels]
+            own = np.where(told, known.remount.get(source.name, 0.0), source.u)
+            origin = f"{LEARNED}: what a remount adds"
+            learned = replace(source, origin=origin, prior=False, dof=np.inf) if any(told) else source
+            yield _with_root(learned, np.diag(own))
+        elif known.noise is not None and source.name in ("voltmeter_error", "setting_error"):
+            yield from _noise(source, known.noise)
+        else:
+            yield source
+
+
+def _means(kinds: tuple[str, ...], known: KnownStand, labels: Sequence[str]) -> Iterator[ErrorSource]:
+    """Yield the means of all kinds (draws by kind, then by mounting), of which mountings share one each."""
+    size, axes = np.linalg.eigh(known.covariance)
+    half = axes * np.sqrt(np.maximum(size, 0.0))
+    places = [known.place(kind, label) for kind in kinds for label in labels]
+    root = np.array([np.zeros(len(half)) if place is None else half[place] for place in places])
+    if root.size and np.any(root):
+        plain = ErrorSource(
+            MEANS, "α mean", "rad", Distribution(1.0), "run", "stand", f"{LEARNED}: means of all mountings",
+            angles=kinds,
+        )  # fmt: skip
+        yield _with_root(plain, root)
+
+
+def _with_root(source: ErrorSource, root: Floats) -> ErrorSource:
+    """Return a source whose draws are those of the root, SI: its u is what one of them has on the mean."""
+    u = rms(np.sqrt(np.sum(root**2, axis=1)))
+    return replace(
+        source,
+        distribution=Distribution(u),
+        root=tuple(tuple(row) for row in (root / max(u, 1e-300)).tolist()),
+    )
+
+
+def _noise(source: ErrorSource, noise: KnownNoise) -> Iterator[ErrorSource]:
+    if source.name == "setting_error":
+        yield replace(
+            source,
+            distribution=Distribution(noise.setting_rad),
+            dof=noise.setting_dof,
+            origin=LEARNED,
+            prior=False,
+        )
+        return
+    for channel, size, dof in zip(CHANNELS, noise.channels.tolist(), noise.channel_dof.tolist(), strict=True):
+        yield replace(
+            source, name=f"{source.name}[{channel}]", distribution=Distribution(size), dof=dof, origin=LEARNED,
+            prior=False, channels=(channel,),
+        )  # fmt: skip
+
+
+NAME = "foundation"
+
+
+@dataclass(frozen=True)
+class Foundation:
+    """How fast the platform tilts, along the shaft and across it: standard uncertainties, rad/s."""
+
+    along_rad_s: float
+    across_rad_s: float
+    origin: str
+    prior: bool = False
+    dof: float = np.inf
+
+    @property
+    def shown(self) -> str:
+        """Its sizes in words."""
+        along, across = (rate * DAY / ARCSEC for rate in (self.along_rad_s, self.across_rad_s))
+        return (
+            f"{along:.2g} and {across:.2g} arcsec a day" if along != across else f"{along:.2g} arcsec a day"
+        )
+
+    def source(self) -> ErrorSource:
+        """Return it as one of the errors of a bench, of the larger of both sizes."""
+        size = replace(FOUNDATION, limit=max(self.along_rad_s, self.across_rad_s), shape="normal", k=1.0)
+        return ErrorSource(NAME, "α1, α2", "rad/s", size, "run", "stand", self.origin, self.dof, self.prior)
+
+    def parts(
+        self, conditions: Conditions, block: Block, across: Floats, installations: Mapping[str, Installation],
+        functionals: Floats,
+    ) -> Floats:  # fmt: skip
+        """Return what each of both tilts, one u large, adds to linear functionals (m, n, 3), shape (m, 2).
+
+        `across` (n, 3) is how the signals change with an angle about the shaft.
+        """
+        tilts = np.stack(tilt_patterns(conditions, block, across, installations))
+        return np.asarray(
+            np.einsum("mni,qni->mq", functionals, tilts) * [self.along_rad_s, self.across_rad_s]
+        )
+
+
+def tilt_patterns(
+    conditions: Conditions, block: Block, across: Floats, installations: Mapping[str, Installation]
+) -> tuple[Floats, Floats]:
+    """Return what a platform that tilts along the shaft and across it, 1 rad/s, does to the signals, V (n, 3)."""
+    time_s = np.nan_to_num(conditions.elapsed_s)
+    begun = np.array([time_s[conditions.mount == m].min() for m in range(len(conditions.mounts))])
+    gone_s = (time_s - begun[conditions.mount])[:, None]
+    known = [installations.get(mount.installation) for mount in conditions.mounts]
+    # tilted by α1 the specific force has so much along y of the platform
+    on_block = np.stack([np.zeros(3) if i is None else i.block_from_platform[:, 1] for i in known])
+    return (on_block @ block.K.T)[conditions.mount] * gone_s, across * gone_s
+
+
+def foundation_of(readings: Readings | None, bench: BenchFile, *, levelled: bool) -> Foundation | None:
+    """Return how the foundation of a bench moves; None where nobody says so and nothing was `levelled`.
+
+    What the level showed with these `readings` counts before what the bench file states.
+    """
+    seen = None if readings is None else drift_rad_s(readings.extra)
+    if seen is not None:
+        return Foundation(*seen, "the level, read again after the platform was levelled")
+    stated = bench.stand.foundation
+    if stated is not None:
+        rate = stated.to_distribution().u / DAY
+        return Foundation(rate, rate, "bench file", dof=stated.dof)
+    if not levelled:
+        return None
+    return Foundation(FOUNDATION.u, FOUNDATION.u, "not stated: ±2 arcsec a day, the paper's", prior=True)

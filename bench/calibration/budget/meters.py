@@ -1,0 +1,324 @@
+"""How well voltmeters and thermometers are known: certificate, drift, maker's limits, learned differences."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from scipy import special
+
+from bench.base.arrays import CHANNELS, Floats, Ints, Mask
+from bench.calibration.budget.propagation import effective_dof
+from bench.calibration.known import METERS_DRIFT
+from bench.config.bench_file.file import BenchFile
+from bench.config.devices.certificates import Certificate, CertifiedGain, CertifiedOffset
+from bench.config.devices.unknown import UnknownVoltmeter
+from bench.config.devices.voltmeters import DAYS_90, VoltmeterForm
+from bench.model.distribution import Distribution
+
+Quantity = Literal["voltmeter_gain", "voltmeter_offset"]
+
+UNKNOWN_AGE: Final = 1.0
+"""Years since the calibration where nobody says of which day the readings are, nor until when it counts."""
+
+USUAL_ACCURACY: Final = (20e-6, 5e-6)
+USUAL_LINEARITY: Final = (2e-6, 1e-6)
+"""Limits of 90 days of a meter of 6½ digits on 10 V, parts of reading and of range, where a recorded run had
+one that nobody here knows: those of a 34401A, which the others here keep, too."""
+
+_SHOWN: Final = {"voltmeter_gain": (1e6, "ppm"), "voltmeter_offset": (1e6, "µV")}
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large an error may be: its distribution, where that is from, its degrees of freedom, whether a prior."""
+
+    distribution: Distribution
+    origin: str
+    dof: float = math.inf
+    prior: bool = False
+
+
+def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None) -> Size:
+    """Return what is left of a meter's gain (1) or zero (V) on its range, on the day of the readings.
+
+    With a certificate u² = (U / k)² + a² / 3, a being the drift since: its drift per year times the years, else the
+    maker's limits for that time. JCGM 100:2008, 4.3.3, 4.3.7, (G.2b). Without one the maker's limits of 90 days.
+    """
+    found = _certified(quantity, meter)
+    if meter.certificate is None or found is None:
+        limit = _limit(quantity, meter, 0.0)
+        return Size(Distribution(limit, "rectangular"), _data_sheet(meter), prior=True)
+    years = _age(meter.certificate, day)
+    drift = _limit(quantity, meter, years) if found.drift is None else found.drift * years
+    parts = found.U / found.k, drift / math.sqrt(3.0)
+    scale, unit = _SHOWN[quantity]
+    whose = "the maker's limits for" if found.drift is None else f"{found.drift * scale:.3g} {unit}/year in"
+    origin = (
+        f"certificate {meter.certificate.number} of {meter.certificate.date}: U = {found.U * scale:.3g} {unit}, "
+        f"k = {found.k:g}; drift: {whose} {years:.2g} years"
+    )
+    dof = effective_dof(np.square([parts]), [found.dof, math.inf])
+    return Size(Distribution(math.hypot(*parts)), origin, float(dof[0]), prior=found.drift is None)
+
+
+def may_move(quantity: Quantity, meter: VoltmeterForm) -> float:
+    """Return u of how far a meter's gain (1) or zero (V) on its range may move within 90 days."""
+    found = _certified(quantity, meter)
+    drift = _limit(quantity, meter, 0.0) if found is None or found.drift is None else found.drift * DAYS_90
+    return drift / math.sqrt(3.0)
+
+
+def is_certified(quantity: Quantity, meter: VoltmeterForm) -> bool:
+    """Whether a certificate states a meter's gain or zero on its range."""
+    return _certified(quantity, meter) is not None
+
+
+def _certified(quantity: Quantity, meter: VoltmeterForm) -> CertifiedGain | CertifiedOffset | None:
+    values = meter.certificate and meter.certificate.of_range(meter.range)
+    if not values:
+        return None
+    return values.gain if quantity == "voltmeter_gain" else values.offset
+
+
+def linearity_of(meter: VoltmeterForm, largest_v: float) -> Size:
+    """Return the limit of a meter's nonlinearity for signals up to `largest_v`, as its maker states it."""
+    of_reading, of_range = USUAL_LINEARITY if isinstance(meter, UnknownVoltmeter) else meter.kind.linearity
+    limit = of_reading * largest_v + of_range * meter.range
+    return Size(Distribution(limit, "rectangular"), _data_sheet(meter), prior=True)
+
+
+def _data_sheet(meter: VoltmeterForm) -> str:
+    if isinstance(meter, UnknownVoltmeter):
+        return f"the driver {meter.driver} is not here: as of a meter of 6½ digits on {meter.range:g} V"
+    return f"{meter.driver}, limits of 90 days on {meter.range:g} V"
+
+
+def _limit(quantity: Quantity, meter: VoltmeterForm, years: float) -> float:
+    if isinstance(meter, UnknownVoltmeter):
+        of_reading, of_range = (part * max(1.0, years / DAYS_90) for part in USUAL_ACCURACY)
+    else:
+        of_reading, of_range = meter.kind.limits_after(years, meter.range)
+    return of_reading if quantity == "voltmeter_gain" else of_range * meter.range
+
+
+def _age(certificate: Certificate, day: datetime.date | None) -> float:
+    """Return the years since the calibration; as old as it may be where the day is not known."""
+    if day is not None:
+        return certificate.years_until(day)
+    return (
+        UNKNOWN_AGE if certificate.valid_until is None else certificate.years_until(certificate.valid_until)
+    )
+
+
+CONTRADICTS_P: Final = 0.01
+"""Differences that certificates and makers' limits allow that seldom are not taken: one of these is wrong."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """Differences as learned, of M meters: `values` (M,) about the mean of each group, `covariance` (M, M)."""
+
+    values: Floats
+    covariance: Floats
+    group: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Together:
+    """The errors of the voltmeters of a bench with what was learned: `mean` (n,), `covariance` (n, n)."""
+
+    mean: Floats
+    covariance: Floats
+
+    @property
+    def u(self) -> float:
+        """Root mean square of their standard uncertainties."""
+        return float(np.sqrt(np.mean(np.diag(self.covariance))))
+
+    @property
+    def root(self) -> tuple[tuple[float, ...], ...]:
+        """What makes of n independent draws of `u` errors with this covariance."""
+        size, axes = np.linalg.eigh(self.covariance)
+        root = axes * np.sqrt(np.maximum(size, 0.0)) / max(self.u, 1e-300)
+        return tuple(tuple(row) for row in root.tolist())
+
+
+def together(
+    told: Told, at: Sequence[int | None], prior_u: Floats, certified: Mask, kept: float
+) -> Together | str:
+    """Return the errors of n meters, `at` which place of `told` each is (None: not there), or why nothing is taken.
+
+    `prior_u` (n,) is their u by certificate or limits, `certified` (n,) where by a certificate. `kept` from 0 to 1
+    is the correlation of a meter's error with what it was when the differences were learned.
+    """
+    n = len(prior_u)
+    places = [place if place is not None else -1 for place in at]
+    group = np.array([told.group[place] if place >= 0 else -1 - k for k, place in enumerate(places)])
+    basis = _contrasts(group)
+    if not basis.shape[1] or np.all(certified):
+        return "certificates state all of it" if basis.shape[1] else "no two of these meters were compared"
+    values = np.where(np.array(places) >= 0, told.values[places], 0.0)
+    own = told.covariance[np.ix_(places, places)]
+    difference, spread = basis.T @ values, basis.T @ own @ basis
+    prior = np.diag(prior_u**2)
+    expected = basis.T @ prior @ basis + spread
+    chi2 = float(difference @ np.linalg.solve(expected, difference))
+    if special.chdtrc(len(difference), chi2) < CONTRADICTS_P:
+        return "they contradict what certificates or makers' limits allow: have the voltmeters calibrated"
+    gain = kept * prior @ basis @ np.linalg.inv(expected)
+    found = Together(gain @ difference, prior - kept * gain @ basis.T @ prior)
+    found = _never_over(found, prior, certified)
+    covariance = found.covariance.copy()
+    for number in np.unique(group):
+        same = group == number
+        free = same & ~certified
+        # what meters have in common no difference tells, however many limits seem to be averaged
+        left = np.sqrt(np.maximum(np.min(prior_u[same]) ** 2 - np.diag(covariance), 0.0)) * free
+        covariance += np.outer(left, left)
+    if np.any(np.diag(covariance) > (1 + 1e-9) * prior_u**2):
+        return "the certificates beside them are worse than the makers' limits"
+    return Together(found.mean[:n], covariance)
+
+
+def _contrasts(group: Ints) -> Floats:
+    """Return an orthonormal basis (n, k) of the differences within groups."""
+    left = np.eye(len(group))
+    for number in np.unique(group):
+        own = (group == number).astype(np.float64)
+        left -= np.outer(own, own) / own.sum()
+    size, vectors = np.linalg.eigh(left)
+    return np.asarray(vectors[:, size > 0.5])
+
+
+def _never_over(found: Together, prior: Floats, certified: Mask) -> Together:
+    """Return the errors with those of certified meters as their certificates have them, the others after them."""
+    if not np.any(certified):
+        return found
+    a, rest = np.flatnonzero(certified), np.flatnonzero(~certified)
+    own = found.covariance[np.ix_(a, a)]
+    by = found.covariance[np.ix_(rest, a)] @ np.linalg.inv(own)
+    mean, covariance = np.zeros(len(found.mean)), prior.copy()
+    mean[rest] = found.mean[rest] - by @ found.mean[a]
+    stated = prior[np.ix_(a, a)]
+    covariance[np.ix_(rest, a)] = by @ stated
+    covariance[np.ix_(a, rest)] = stated @ by.T
+    covariance[np.ix_(rest, rest)] = (
+        found.covariance[np.ix_(rest, rest)] - by @ own @ by.T + by @ stated @ by.T
+    )
+    return Together(mean, covariance)
+
+
+# --- the voltmeters of a bench --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class LearnedMeters:
+    """What a learned file says of the differences of meters, about `day`: of gains (1) and zeros (V)."""
+
+    meters: tuple[str, ...]
+    day: datetime.date
+    gain: Told
+    zero: Told
+
+
+@dataclass(frozen=True)
+class OfMeters:
+    """A quantity of a bench's voltmeters as a source of error: its size in words, and how they hang together."""
+
+    size: Size
+    together: Together
+
+
+@dataclass(frozen=True)
+class KnownMeters:
+    """What a bench's voltmeters are with what was learned, by the name of the source of error.
+
+    `gain` and `offset_v` (x, y, z) are to be added to readings: U (1 + gain) + offset.
+    """
+
+    quantities: Mapping[str, OfMeters]
+    gain: tuple[float, float, float]
+    offset_v: tuple[float, float, float]
+
+
+def known_meters(
+    bench: BenchFile, day: datetime.date, meters: Sequence[str], learned: LearnedMeters
+) -> tuple[KnownMeters | None, tuple[str, ...]]:
+    """Return what is known of a bench's voltmeters on a day, `meters` their identities, and notes on the rest."""
+    apart = abs((day - learned.day).days) / METERS_DRIFT.days
+    kept = math.sqrt(max(1.0 - apart**2, 0.0))
+    at = [learned.meters.index(meter) if meter in learned.meters else None for meter in meters]
+    origin = f"differences learned from exchanged voltmeters, {learned.day}"
+    found: dict[str, OfMeters] = {}
+    notes = []
+    every: tuple[tuple[Quantity, str, Told], ...] = (
+        ("voltmeter_gain", "gains", learned.gain), ("voltmeter_offset", "zeros", learned.zero)
+    )  # fmt: skip
+    for name, words, told in every:
+        stated = getattr(bench.uncertainty, name)
+        forms = bench.instruments.voltmeters
+        sizes = [size_of(name, meter, day) for meter in forms]
+        if stated is not None:
+            sizes = [Size(stated.to_distribution(), "bench file", stated.dof)] * len(forms)
+        certified = np.array([stated is None and is_certified(name, meter) for meter in forms])
+        if kept == 0.0:
+            own: Together | str = f"in {METERS_DRIFT.days} days voltmeters may drift through their limits"
+        else:
+            own = together(told, at, np.array([size.distribution.u for size in sizes]), certified, kept)
+        if isinstance(own, str):
+            notes.append(f"what was learned of how the {words} of the voltmeters differ is not used: {own}")
+            continue
+        origins = "; ".join(dict.fromkeys(size.origin for size in sizes))
+        size = Size(
+            Distribution(own.u),
+            f"{origins}; {origin}",
+            min(s.dof for s in sizes),
+            any(s.prior for s in sizes),
+        )
+        found[name] = OfMeters(size, own)
+    if not found:
+        return None, tuple(notes)
+    notes.append(f"readings corrected by the {origin}; what the voltmeters have in common stays as stated")
+    return KnownMeters(
+        found, _added(found, bench, "voltmeter_gain"), _added(found, bench, "voltmeter_offset")
+    ), tuple(notes)
+
+
+def _added(found: Mapping[str, OfMeters], bench: BenchFile, name: str) -> tuple[float, float, float]:
+    by_channel = dict.fromkeys(CHANNELS, 0.0)
+    if name in found:
+        for meter, mean in zip(bench.instruments.voltmeters, found[name].together.mean.tolist(), strict=True):
+            for channel in meter.channels:
+                by_channel[channel] = -mean
+    return by_channel["x"], by_channel["y"], by_channel["z"]
+
+
+GRADIENT: Final = Distribution(0.2, "rectangular")
+"""Prior of what lies between a thermometer at the block and its accelerometers, K."""
+
+
+def thermometer_size(bench: BenchFile) -> Size | None:
+    """Return it in K; None for a chamber's thermometer that has no certificate: the band of the air is larger."""
+    told_by = bench.instruments.thermometer or bench.instruments.chamber
+    certificate = None if told_by is None else told_by.certificate
+    size: Size | None = None
+    if certificate is not None:
+        worst = max(certificate.values, key=lambda value: value.U / value.k)
+        origin = f"certificate {certificate.number} of {certificate.date}: the largest U, k = {worst.k:g}"
+        size = Size(Distribution(worst.U, k=worst.k), origin, worst.dof)
+    thermometer = bench.instruments.thermometer
+    if thermometer is None:
+        return size
+    if size is None:
+        limit = Distribution(thermometer.tolerance_k, "rectangular")
+        size = Size(limit, f"no certificate: ±{limit.limit:.2g} K of its kind", prior=True)
+    stated = thermometer.gradient
+    gradient = GRADIENT if stated is None else Distribution(stated, "rectangular")
+    origin = f"{size.origin}; ±{gradient.limit:g} K to the block" + (" as usual" if stated is None else "")
+    both = Distribution(math.hypot(size.distribution.u, gradient.u))
+    return Size(both, origin, size.dof, size.prior or stated is None)

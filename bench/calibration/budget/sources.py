@@ -1,0 +1,360 @@
+"""The errors of a bench by name: how large, how distributed, what each is common to, where its size comes from."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import CHANNELS
+from bench.base.words import exact_duration
+from bench.calibration.budget.error_source import Common, ErrorSource, foundation_of, learned_sources
+from bench.calibration.budget.meters import KnownMeters, Size, linearity_of, size_of, thermometer_size
+from bench.calibration.budget.setup import Setup
+from bench.calibration.design import SYMBOLS, WEAK
+from bench.calibration.known import KnownStand
+from bench.config.bench_file.file import STAND_ERRORS, BenchFile
+from bench.config.bench_file.stand import ErrorSize, Location, MeasuredGravity
+from bench.config.devices.voltmeters import VoltmeterForm
+from bench.model import STAND_ANGLES, Distribution, ForwardModel
+
+ANOMALY_M_S2: Final = 5e-4
+"""Local anomalies of gravity about the WGS 84 formula, 50 mGal, 1 sigma."""
+MEASURED_M_S2: Final = 1e-5
+"""Least uncertainty of a value of gravity that was stated as a number, 1 mGal."""
+CHAMBER: Final = Distribution(0.5, "rectangular")
+"""Prior of the chamber's stability, K."""
+BIAS_PER_K: Final = Distribution(30e-6, "rectangular")
+SCALE_PER_K: Final = Distribution(180e-6, "rectangular")
+"""Priors of the block's temperature coefficients, g/K and 1/K: limits of a quartz-flexure accelerometer."""
+BIAS_PER_V: Final = Distribution(20e-6)
+SCALE_PER_V: Final = Distribution(20e-6)
+"""Priors of how a block follows its supply, g/V and 1/V: the catalogue's plausible sizes, 1 sigma."""
+TURN_ON: Final = Distribution(20e-6)
+"""Prior of how a bias comes back after it was off, g: 10 to 25 µg of a quartz-flexure accelerometer."""
+K2_PRIOR: Final = Distribution(30e-6)
+K3_PRIOR: Final = Distribution(20e-6)
+"""Priors of the nonlinearity of a channel, g/g² and g/g³: the catalogue's plausible sizes, 1 sigma."""
+
+
+# --- from a bench file ------------------------------------------------------------------------------
+
+
+def bench_sources(
+    bench: BenchFile, setup: Setup, day: datetime.date | None = None, known: KnownStand | None = None
+) -> tuple[ErrorSource, ...]:
+    """Return the sources of a bench: the stand's errors, the voltmeters', gravity, temperature, the block.
+
+    `day` is that of the readings: what a certificate states has drifted since its own. `known` is what was
+    learned of the stand and the noise.
+
+    Parameters of effects in the model of `setup` are sources, too; the priors of K2 and K3 stand only where the
+    model has no such effect.
+    """
+    own = stand_sources(bench)
+    if known is not None:
+        own = learned_sources(own, known, setup.conditions.mounts)
+    return (
+        *own, *_foundation_source(bench), *hidden_sources(bench, setup.model, day), *effect_sources(setup)
+    )  # fmt: skip
+
+
+def signed_sources(
+    bench: BenchFile, model: ForwardModel, day: datetime.date | None = None
+) -> tuple[ErrorSource, ...]:
+    """Return what is in the combined u of a calibration beside its readings and the stand's angles.
+
+    Local gravity is not: coefficients are stated per local g.
+    """
+    hidden = (source for source in hidden_sources(bench, model, day) if source.name != "gravity")
+    return (*_foundation_source(bench), *hidden)
+
+
+def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
+    """Of a platform that a bench file says to tilt; what levellings show, a calibration takes in its place."""
+    stated = foundation_of(None, bench, levelled=False)
+    if stated is not None:
+        yield stated.source()
+
+
+def hidden_sources(
+    bench: BenchFile,
+    model: ForwardModel,
+    day: datetime.date | None = None,
+    meters: KnownMeters | None = None,
+) -> tuple[ErrorSource, ...]:
+    """Return the sources that no reading of a calibration shows and no fit holds: priors where none is stated.
+
+    `meters` are the errors of the voltmeters as far as differences between them were learned.
+    """
+    return (
+        *_voltmeter_sources(bench, day, meters),
+        *_head_table_source(bench),
+        *_gravity_source(bench),
+        _temperature_source(bench),
+        *_thermometer_source(bench),
+        *_supply_sources(bench, model),
+        *_turn_on_source(bench),
+        *_nonlinearity_sources(bench, model),
+    )
+
+
+def stand_sources(bench: BenchFile) -> tuple[ErrorSource, ...]:
+    """Return the stand errors of a bench file. The third mounting angle is as `mounting_error` unless stated.
+
+    A surface that keeps one angle of the mounting no better keeps the other no better either.
+    """
+    sizes = bench.stand_distributions()
+    dof = {name: section.dof for name in STAND_ERRORS if (section := getattr(bench.stand, name)) is not None}
+    stated = [
+        stand_source(name, sizes[name], dof[name], "bench file") for name in STAND_ERRORS if name in dof
+    ]
+    assumed = [
+        replace(stand_source(name, size, origin=ROLL_ORIGIN), prior=True)
+        for name, size in assumed_stand(bench).items()
+    ]
+    return (*stated, *assumed)
+
+
+ROLL_ORIGIN: Final = "not stated: as mounting_error"
+
+
+def assumed_stand(bench: BenchFile) -> dict[str, Distribution]:
+    """Return the stand errors that a bench file does not state but that no bench is without, by name."""
+    if bench.stand.mounting_roll is not None:
+        return {}
+    return {"mounting_roll": bench.stand_distributions()["mounting_error"]}
+
+
+def stand_source(
+    name: str, distribution: Distribution, dof: float = math.inf, origin: str = "as asked"
+) -> ErrorSource:
+    """Return one of the stand errors by its name in a bench file, rad or V. Raises `KeyError` for others."""
+    if name in STAND_ANGLES:
+        symbol = {"mounting_offset": "mounting offset"}.get(name, SYMBOLS[name].replace("alpha", "α"))
+        return ErrorSource(name, symbol, "rad", distribution, "mounting", "stand", origin, dof)
+    symbol, unit, common = _FRESH[name]
+    return ErrorSource(name, symbol, unit, distribution, common, "stand", origin, dof)
+
+
+_FRESH: Final[Mapping[str, tuple[str, str, Common]]] = {
+    "setting_error": ("α4", "rad", "setting"),
+    "voltmeter_error": ("ΔU", "V", "reading"),
+}
+
+
+def _voltmeter_sources(
+    bench: BenchFile, day: datetime.date | None, known: KnownMeters | None
+) -> Iterator[ErrorSource]:
+    """One line for each quantity where all meters are alike, else one for each meter: "voltmeter_gain[x]".
+
+    Where differences between them were learned it is one line, of meters that hang together.
+    """
+    meters = bench.instruments.voltmeters
+    largest_v = float(np.max(np.abs(bench.unit_under_test.scale_factors.values)))
+    section = bench.uncertainty
+    quantities: tuple[tuple[str, str, str, Common, ErrorSize | None, Callable[[VoltmeterForm], Size]], ...] = (
+        ("voltmeter_gain", "gain", "1", "run", section.voltmeter_gain,
+         lambda meter: size_of("voltmeter_gain", meter, day)),
+        ("voltmeter_offset", "offset", "V", "run", section.voltmeter_offset,
+         lambda meter: size_of("voltmeter_offset", meter, day)),
+        ("voltmeter_linearity", "linearity", "V", "orientation", section.voltmeter_linearity,
+         lambda meter: linearity_of(meter, largest_v)),
+    )  # fmt: skip
+    for name, symbol, unit, common, stated, size in quantities:
+        if known is not None and name in known.quantities:
+            own = known.quantities[name]
+            yield replace(
+                _sized(ErrorSource(name, symbol, unit, own.size.distribution, common, "scale", ""), own.size),
+                root=own.together.root,
+            )
+            continue
+        if stated is not None:
+            sizes = [Size(stated.to_distribution(), "bench file", stated.dof)]
+        else:
+            sizes = [size(meter) for meter in meters]
+        if all(one == sizes[0] for one in sizes):
+            yield _sized(
+                ErrorSource(name, symbol, unit, sizes[0].distribution, common, "scale", ""), sizes[0]
+            )
+            continue
+        for meter, one in zip(meters, sizes, strict=True):
+            called = f"{name}[{''.join(meter.channels)}]"
+            source = ErrorSource(
+                called, symbol, unit, one.distribution, common, "scale", "", channels=meter.channels
+            )
+            yield _sized(source, one)
+
+
+def _sized(source: ErrorSource, size: Size) -> ErrorSource:
+    return replace(source, origin=size.origin, dof=size.dof, prior=size.prior)
+
+
+def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
+    """Relative to local gravity. A number has the uncertainty of its last digit, at least that of a survey."""
+    g = bench.gravity_m_s2
+    stated = bench.uncertainty.gravity
+    if g is None:
+        return
+    if stated is not None:
+        relative = replace(stated.to_distribution(), limit=stated.limit / g)
+        yield ErrorSource("gravity", "g", "1", relative, "run", "scale", "bench file", stated.dof)
+    elif isinstance(bench.gravity, MeasuredGravity):
+        known = bench.gravity
+        relative = Distribution(known.U / g, k=known.k)
+        origin = f"{known.source}, {known.date}: U = {known.U:.3g} m/s², k = {known.k:g}"
+        yield ErrorSource("gravity", "g", "1", relative, "run", "scale", origin, known.dof)
+    elif isinstance(bench.gravity, Location):
+        origin = "WGS 84 formula: anomalies of 50 mGal"
+        yield ErrorSource(
+            "gravity", "g", "1", Distribution(ANOMALY_M_S2 / g), "run", "scale", origin, prior=True
+        )
+    else:
+        decimals = len(repr(g).partition(".")[2])
+        rounding = Distribution(0.5 * 10.0**-decimals, "rectangular")
+        size = rounding if rounding.u > MEASURED_M_S2 else Distribution(MEASURED_M_S2)
+        origin = f"{g!r} m/s² as stated: its last digit, 1 mGal at least"
+        relative = replace(size, limit=size.limit / g)
+        yield ErrorSource("gravity", "g", "1", relative, "run", "scale", origin, prior=True)
+
+
+def _temperature_source(bench: BenchFile) -> ErrorSource:
+    section, chamber = bench.uncertainty, bench.instruments.chamber
+    band = getattr(chamber, "band", None)
+    usual, origin = (CHAMBER, "no band stated: ±0.5 K") if band is None else (
+        Distribution(band, "rectangular"), "band of the chamber"
+    )  # fmt: skip
+    sizes = (section.bias_temperature_coefficient, section.scale_temperature_coefficient)
+    coefficients = [
+        (prior if size is None else size.to_distribution()).u
+        for size, prior in zip(sizes, (BIAS_PER_K, SCALE_PER_K), strict=True)
+    ]
+    source = _stated("temperature", "T", "K", "run", section.temperature, usual, origin)
+    if section.temperature is not None and (time_s := section.temperature.correlation_time) is not None:
+        origin = f"{source.origin}, correlation time {exact_duration(time_s)}"
+        source = replace(source, common="time", correlation_s=time_s, origin=origin)
+    return replace(
+        source,
+        origin=f"{source.origin}; {coefficients[0] * 1e6:.3g} µg/K and {coefficients[1] * 1e6:.3g} ppm/K (1σ)",
+        prior=section.temperature is None or None in sizes,
+        factors={"bias": coefficients[0], "scale": coefficients[1]},
+    )
+
+
+def _head_table_source(bench: BenchFile) -> Iterator[ErrorSource]:
+    """What the table of the head leaves unknown: the same at an angle, however often the head comes there."""
+    certificate = bench.instruments.head.certificate
+    if certificate is not None:
+        worst = max(certificate.values, key=lambda value: value.U / value.k)
+        size = Distribution(worst.U, k=worst.k)
+        origin = (
+            f"certificate {certificate.number} of {certificate.date}: largest U of its table, k = {worst.k:g}"
+        )
+        yield ErrorSource("head_table", "head", "rad", size, "angle", "scale", origin, worst.dof)
+
+
+def _thermometer_source(bench: BenchFile) -> Iterator[ErrorSource]:
+    """How far the temperature told may be from the true one: all of a run alike."""
+    size = thermometer_size(bench)
+    if size is not None:
+        source = _sized(ErrorSource("thermometer", "T", "K", size.distribution, "run", "scale", ""), size)
+        yield replace(source, factors=_temperature_source(bench).factors)
+
+
+def _supply_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
+    """One for each rail, of the channels for which the model does not follow it."""
+    supply, section = bench.unit_under_test.supply, bench.uncertainty
+    sizes = (section.bias_supply_coefficient, section.scale_supply_coefficient)
+    bias, scale = (
+        (prior if size is None else size.to_distribution()).u
+        for size, prior in zip(sizes, (BIAS_PER_V, SCALE_PER_V), strict=True)
+    )
+    for number, rail in enumerate(supply.rails if supply else (), start=1):
+        usual = Distribution(rail.tolerance, "rectangular")
+        source = _stated("", rail.name, "V", "run", section.supply_voltage, usual, "tolerance of the rail")
+        followed = {
+            channel
+            for applied in model.effects
+            if applied.effect.name == "supply_sensitivity"
+            and float(applied.complete_values()["rail"]) == number
+            for channel in applied.channels
+        }
+        left = tuple(channel for channel in CHANNELS if channel not in followed)
+        if left:
+            yield replace(
+                source,
+                name=f"supply_voltage[{rail.name}]",
+                origin=f"{source.origin}; {bias * 1e6:.3g} µg/V and {scale * 1e6:.3g} ppm/V (1σ)",
+                prior=None in sizes,
+                factors={"bias": bias, "scale": scale, "rail": number},
+                channels=left,
+            )
+
+
+def _turn_on_source(bench: BenchFile) -> Iterator[ErrorSource]:
+    """How far a bias comes back after the block was off: of one that the bench itself switches, or where stated."""
+    stated = bench.uncertainty.turn_on_repeatability
+    if stated is not None or bench.unit_under_test.supply is not None:
+        origin = "prior: of a quartz-flexure accelerometer"
+        yield _stated("turn_on", "turn-on", "g", "run", stated, TURN_ON, origin)
+
+
+def _nonlinearity_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
+    for name, effect, unit, prior in (
+        ("K2", "quadratic_nonlinearity", "1/g", K2_PRIOR),
+        ("K3", "cubic_nonlinearity", "1/g^2", K3_PRIOR),
+    ):
+        known = {c for a in model.effects if a.effect.name == effect for c in a.channels}
+        left = tuple(channel for channel in CHANNELS if channel not in known)
+        if left:
+            stated: ErrorSize | None = getattr(bench.uncertainty, name)
+            source = _stated(name, name, unit, "run", stated, prior, "prior: plausible size")
+            yield replace(source, group="block", channels=left)
+
+
+def _stated(
+    name: str,
+    symbol: str,
+    unit: str,
+    common: Common,
+    stated: ErrorSize | None,
+    usual: Distribution,
+    origin: str,
+) -> ErrorSource:
+    if stated is None:
+        return ErrorSource(name, symbol, unit, usual, common, "scale", origin, prior=True)
+    return ErrorSource(
+        name, symbol, unit, stated.to_distribution(), common, "scale", "bench file", stated.dof
+    )
+
+
+def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
+    """Yield a source for each parameter of the effects in the model, with the u that the model file states.
+
+    Where it states none the size is the catalogue's plausible one. The prior that a fit then takes is wider, so
+    that the data decide, and no statement about a block.
+    """
+    problem = setup.effect_problem
+    for name, unknown in zip(problem.names(), problem.effects, strict=True):
+        parameter = problem.parameter(unknown)
+        yield ErrorSource(
+            name=name,
+            symbol=parameter.name,
+            unit="SI",
+            distribution=Distribution(unknown.prior_u / (1.0 if unknown.stated else WEAK)),
+            common="run",
+            group="block",
+            origin="model file" if unknown.stated else "model file states no u: plausible size",
+            prior=not unknown.stated,
+            effect=unknown,
+            written_in=(parameter.unit, parameter.si_per_unit),
+        )
+
+
+def sizes_by_name(sources: Iterable[ErrorSource]) -> dict[str, float]:
+    """Return the standard uncertainties of the stand's sources by name, as an estimator is told them."""
+    return {source.name: source.u for source in sources if source.name in STAND_ERRORS}

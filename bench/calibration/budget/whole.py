@@ -1,0 +1,296 @@
+"""The whole uncertainty of a calibration: what its readings show, and the errors of the bench that they do not.
+
+Each error acts on the readings that were taken as it does on those of a plan, and through the estimator's map on
+the coefficients: the budget of a plan and the calibration of its readings agree where their noise does.
+Source: JCGM 100:2008 (GUM), 4.3 and 5.2: what is not known is a quantity with a distribution, not a sentence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import date
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import ARCSEC, Floats, Ints, Mask
+from bench.calibration.budget.coefficients import parts_of
+from bench.calibration.budget.error_source import NAME, ErrorSource, Foundation, foundation_of
+from bench.calibration.budget.meters import KnownMeters
+from bench.calibration.budget.propagation import effective_dof
+from bench.calibration.budget.setup import meters_of
+from bench.calibration.budget.sources import ROLL_ORIGIN, assumed_stand, hidden_sources
+from bench.calibration.components import walk_since
+from bench.calibration.result import Calibration, SourceOfError
+from bench.calibration.verification import modulus_slopes
+from bench.config.bench_file.file import BenchFile
+from bench.model import Block, Conditions, ForwardModel
+from bench.model.block import COEFFICIENTS
+from bench.readings.table import UNORIENTED, VERIFICATION, Readings
+
+GRAVITY: Final = "gravity"
+METERS: Final = ("voltmeter_gain", "voltmeter_offset")
+"""Errors that act alike wherever the same meters read the block."""
+OF_BLOCK: Final = ("K2", "K3")
+"""Errors that the block brings to every calibration and check of it."""
+VOLTS: Final = "V"
+
+
+@dataclass(frozen=True)
+class Taken:
+    """Readings that were taken, as errors act on them: the forces are those that `block` tells from the signals."""
+
+    readings: Readings
+    block: Block
+    meters: tuple[int, int, int]
+    setting_slope: Floats
+
+    @cached_property
+    def conditions(self) -> Conditions:
+        """Where, when and how warm each reading was."""
+        return self.readings.conditions()
+
+    @property
+    def signal(self) -> Floats:
+        """The signals, (n, 3)."""
+        return self.readings.signal
+
+    @cached_property
+    def force(self) -> Floats:
+        """The specific forces, g, (n, 3)."""
+        return self.block.specific_force(self.readings.signal)
+
+    @cached_property
+    def orientation(self) -> Ints:
+        """A number for each orientation, (n,): that of an installation at a whole degree, else of the row alone."""
+        of = self.readings
+        degrees = np.where(np.isfinite(of.angle_rad), np.degrees(of.angle_rad), 0.0)
+        keys = np.stack([np.round(degrees) % 360, np.zeros(len(of))], axis=1)
+        names = np.unique(of.installation, return_inverse=True)[1]
+        alone = ~self._oriented
+        keys[:, 1] = names
+        keys[alone, 0] = 1000.0 + np.flatnonzero(alone)
+        return np.asarray(np.unique(keys, axis=0, return_inverse=True)[1]).ravel()
+
+    @property
+    def _oriented(self) -> Mask:
+        return ~np.isin(self.readings.installation, list(UNORIENTED))
+
+
+def sign(
+    calibration: Calibration,
+    readings: Readings,
+    bench: BenchFile,
+    model: ForwardModel,
+    day: date | None = None,
+    meters: KnownMeters | None = None,
+) -> Calibration:
+    """Return the calibration with the combined covariance: of its readings and of what they do not show.
+
+    `readings` is the whole table that it was made from, `day` that of the readings, `meters` what was
+    learned of the voltmeters. The meters' errors are in volts, and so in no result of readings in another unit.
+    """
+    if readings.unit != VOLTS:
+        return replace(calibration, notes=(*calibration.notes, _NO_VOLTS.format(unit=readings.unit)))
+    taken = _taken(calibration, readings, bench)
+    of_bench = _acting(calibration, bench, model, day, meters)
+    own = tuple(_source(error, taken, calibration.gain) for error in of_bench if error.name != GRAVITY)
+    roll = calibration.covariance - calibration.covariance_readings
+    moving = _foundation(readings, bench)
+    if moving is not None:
+        parts = moving.parts(
+            taken.conditions, taken.block, taken.setting_slope, model.installations, calibration.gain
+        )
+        tilts = parts @ parts.T
+        own = (
+            SourceOfError(NAME, "α1, α2", moving.shown, moving.origin, moving.prior, moving.dof, tilts), *own,
+        )  # fmt: skip
+    if np.any(np.diag(roll) > 0):
+        own = (_roll(bench, roll), *own)
+    covariance = calibration.covariance_readings + sum((s.covariance for s in own), np.zeros((12, 12)))
+    gravity = [error.u for error in of_bench if error.name == GRAVITY]
+    signed = replace(
+        calibration, covariance=covariance, sources=own, gravity_u=gravity[0] if gravity else 0.0,
+        notes=(*calibration.notes, *_on_roll(roll, covariance)),
+    )  # fmt: skip
+    return replace(signed, dof=dof_through(signed, np.eye(len(COEFFICIENTS))))
+
+
+def dof_through(calibration: Calibration, jacobian: Floats, known: float | Floats = 0.0) -> Floats:
+    """Return the effective degrees of freedom (m,) of what is computed from the coefficients of `sign`.
+
+    `jacobian` (m, 12) are the derivatives by the coefficients, `known` further variances, of infinite freedom.
+    """
+    if not calibration.sources:
+        return np.full(len(jacobian), np.inf)
+    parts = [calibration.covariance_readings, *(s.covariance for s in calibration.sources)]
+    variances = [np.sum((jacobian @ part) * jacobian, axis=1) for part in parts]
+    variances.append(np.broadcast_to(np.asarray(known, dtype=np.float64), len(jacobian)))
+    dof = [calibration.noise.reading_dof, *(s.dof for s in calibration.sources), np.inf]
+    return effective_dof(np.stack(variances, axis=1), dof)
+
+
+def _foundation(readings: Readings, bench: BenchFile) -> Foundation | None:
+    return foundation_of(readings, bench, levelled=readings.conditions().level_rad is not None)
+
+
+def _on_roll(roll: Floats, covariance: Floats) -> tuple[str, ...]:
+    """Say what would show the third mounting angle, where it is most of the uncertainty of a coefficient."""
+    most = [
+        n
+        for n, part, u2 in zip(COEFFICIENTS, np.diag(roll), np.diag(covariance), strict=True)
+        if part > 0.5 * u2
+    ]
+    if not most:
+        return ()
+    listed = " and ".join([", ".join(most[:-1]), most[-1]] if len(most) > 1 else most)
+    return (
+        f"most of u of {listed} is the third mounting angle, which these installations do not show: the procedure "
+        "remount-90 shows it, a measured mounting_roll in the bench file limits it",
+    )
+
+
+_NO_VOLTS: Final = (
+    "the readings are in {unit}, so the errors of this bench's meters are in no uncertainty here: u is what these "
+    "readings show"
+)
+
+
+def delta_g_elsewhere(
+    block: Block, covariance: Floats, noise: Floats, readings: Readings, bench: BenchFile, model: ForwardModel,
+    *, same_meters: bool, day: date | None = None, block_terms: Floats | None = None,
+    meters: KnownMeters | None = None,
+) -> Floats:  # fmt: skip
+    """Return the covariance (v, v) of |a| at the verification rows for coefficients of another day.
+
+    In the local g of the coefficients. `covariance` (12, 12) and `noise` (3,) are those of the coefficients,
+    without the meters' gain and offset where they are the `same_meters` as here: then these cancel; else those here
+    come on top. `block_terms` (12, q) are those of `Calibration`: what K2 and K3 did to the coefficients they do to
+    the readings at the points as well. What else acts there counts in full.
+    """
+    rows = np.flatnonzero(readings.installation == VERIFICATION)
+    taken = Taken(readings, block, _meters(bench), np.zeros((len(readings), 3)))
+    by_coefficient, by_signal = modulus_slopes(taken.force[rows], block)
+    whole = by_coefficient @ covariance @ by_coefficient.T + np.diag(np.sum((by_signal * noise) ** 2, axis=1))
+    if readings.unit != VOLTS:
+        return np.asarray(whole)
+    functionals = np.zeros((len(rows), len(readings), 3))
+    functionals[np.arange(len(rows)), rows] = by_signal
+    of_block = np.zeros((len(rows), 0))
+    for error in hidden_sources(bench, model, day, meters):
+        if error.name == GRAVITY or (same_meters and error.kind in METERS):
+            continue
+        parts = parts_of(error, taken, functionals)
+        whole += parts @ parts.T
+        if error.kind in OF_BLOCK:
+            of_block = np.concatenate([of_block, parts], axis=1)
+    if block_terms is not None and block_terms.shape[1] == of_block.shape[1]:
+        across = of_block @ (by_coefficient @ block_terms).T
+        whole += across + across.T
+    return np.asarray(whole)
+
+
+def delta_g_contributions(
+    calibration: Calibration,
+    readings: Readings,
+    bench: BenchFile,
+    model: ForwardModel,
+    day: date | None = None,
+    meters: KnownMeters | None = None,
+) -> dict[str, Floats]:
+    """Return what makes up the covariance (v, v) of |a| at the verification rows of the table of `calibration`.
+
+    By name, in local g; their sum is the covariance. An error that acts on calibration and check alike, as the gain
+    of a meter, acts here by what is left of both: it cancels. The noise of the readings at the points is among it.
+    """
+    rows = np.flatnonzero(readings.installation == VERIFICATION)
+    taken = _taken(calibration, readings, bench)
+    by_coefficient, by_signal = modulus_slopes(taken.force[rows], calibration.block)
+    functionals = np.einsum("vp,pni->vni", by_coefficient, calibration.gain)
+    functionals[np.arange(len(rows)), rows] += by_signal
+    noise = np.diag(np.sum((by_signal * calibration.noise.widened().by_channel) ** 2, axis=1))
+    found = {
+        "noise_and_stand": by_coefficient @ calibration.covariance_readings @ by_coefficient.T,
+        **{
+            s.name: by_coefficient @ s.covariance @ by_coefficient.T
+            for s in calibration.sources
+            if s.name == "mounting_roll"
+        },
+        "reading_at_the_point": noise,
+    }
+    if calibration.drift is not None:
+        # U0 is the mean of the run; by the time of the check the biases have gone on
+        time_s = readings.conditions().elapsed_s
+        used = np.any(calibration.gain != 0.0, axis=(0, 2))
+        gone = walk_since(time_s[used], time_s[rows])
+        for c, size in enumerate(calibration.drift.size.tolist()):
+            drifted = size**2 * gone * np.outer(by_signal[:, c], by_signal[:, c])
+            found["drift"] = found.get("drift", 0.0) + drifted
+    if readings.unit != VOLTS:
+        return found
+    for error in _acting(calibration, bench, model, day, meters):
+        if error.name != GRAVITY:
+            parts = parts_of(error, taken, functionals)
+            found[error.name] = parts @ parts.T
+    moving = _foundation(readings, bench)
+    if moving is not None:
+        parts = moving.parts(
+            taken.conditions, taken.block, taken.setting_slope, model.installations, functionals
+        )
+        found[NAME] = parts @ parts.T
+    return found
+
+
+def delta_g_covariance(
+    calibration: Calibration,
+    readings: Readings,
+    bench: BenchFile,
+    model: ForwardModel,
+    day: date | None = None,
+    meters: KnownMeters | None = None,
+) -> Floats:
+    """Return the covariance (v, v) of |a| at the verification rows: the sum of `delta_g_contributions`."""
+    return np.asarray(sum(delta_g_contributions(calibration, readings, bench, model, day, meters).values()))
+
+
+def _taken(calibration: Calibration, readings: Readings, bench: BenchFile) -> Taken:
+    return Taken(readings, calibration.block, _meters(bench), calibration.slope)
+
+
+def _meters(bench: BenchFile) -> tuple[int, int, int]:
+    return meters_of([m.channels for m in bench.instruments.voltmeters])
+
+
+def _acting(
+    calibration: Calibration,
+    bench: BenchFile,
+    model: ForwardModel,
+    day: date | None,
+    meters: KnownMeters | None,
+) -> list[ErrorSource]:
+    """The errors that no reading shows.
+
+    Linearity is none of them where the readings showed what repeats share, at least as large: it is in that.
+    """
+    shown = max((c.size for c in calibration.shared if c.what == "setting"), default=0.0)
+    return [
+        error
+        for error in hidden_sources(bench, model, day, meters)
+        if error.kind != "voltmeter_linearity" or error.u > shown
+    ]
+
+
+def _source(error: ErrorSource, taken: Taken, gain: Floats) -> SourceOfError:
+    parts = parts_of(error, taken, gain)
+    return SourceOfError(
+        error.name, error.symbol, error.shown, error.origin, error.prior, error.dof, parts @ parts.T,
+        cancels=error.kind in METERS, of_block=parts if error.kind in OF_BLOCK else None,
+    )  # fmt: skip
+
+
+def _roll(bench: BenchFile, covariance: Floats) -> SourceOfError:
+    size = assumed_stand(bench)["mounting_roll"].u
+    return SourceOfError(
+        "mounting_roll", "α5", f"{size / ARCSEC:.3g} arcsec", ROLL_ORIGIN, True, np.inf, covariance
+    )

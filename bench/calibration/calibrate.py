@@ -1,0 +1,345 @@
+"""From a table of readings to a calibration, by the estimator asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
+from bench.calibration import gls, mistakes, outliers
+from bench.calibration.assumptions import GAIN, GRAVITY, assumptions, require_rank
+from bench.calibration.components import Shared, heavy_tails, notes_on_noise, take_in
+from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
+from bench.calibration.estimator import Estimator, Task
+from bench.calibration.estimators import ESTIMATORS, GLS, ROBUST, find_estimator
+from bench.calibration.free import first_guess_free, triangular
+from bench.calibration.known import KnownStand
+from bench.calibration.linear import linear_estimate
+from bench.calibration.noise import require_told
+from bench.calibration.outliers import Chosen
+from bench.calibration.result import (
+    Calibration,
+    CalibrationError,
+    Estimate,
+    LackOfFit,
+    Noise,
+    Outlier,
+)
+from bench.model.block import Block
+from bench.model.forward import ForwardModel
+from bench.model.geometry import STAND_ANGLES
+from bench.readings.table import FREE, VERIFICATION, Readings
+
+ROUNDING: Final = 1e-9
+"""Noise below this part of the largest signal is that of computed readings, in which nothing is an outlier."""
+
+
+def calibrate(
+    readings: Readings,
+    model: ForwardModel,
+    stand_u: Mapping[str, float],
+    g_m_s2: float,
+    estimator: str = GLS,
+    noise: Noise | None = None,
+    *,
+    assumed_u: Mapping[str, float] | None = None,
+    nominal_angles: bool = False,
+    join_free: bool = True,
+    join_verification: bool = False,
+    find_shared: bool = True,
+    known: KnownStand | None = None,
+) -> Calibration:
+    """Estimate the twelve coefficients from a table of readings.
+
+    `stand_u` holds the standard uncertainties of the stand's fixed angles by the names in `STAND_ANGLES`,
+    rad, `assumed_u` those that nobody stated: they are in the covariance, and not in that of the readings alone.
+    The sizes of the noise are estimated from the readings unless given as `noise`; where the readings leave too few
+    degrees of freedom, "voltmeter_error" (in the unit of the signals) and "setting_error" (rad) in `stand_u` are
+    their prior. Coefficients are per
+    local g, stated as `g_m_s2`. With `nominal_angles` the targets stand in for the angles read back. Free
+    positions join the oriented rows by |a| = 1 g unless `join_free` is false, verification points where
+    `join_verification` says so, for they are the independent check. Where there are free positions alone K is
+    upper triangular by convention. Without `find_shared` the noise is taken as fresh in every reading. `known` is
+    what other runs of the bench told of its stand and noise, in place of `stand_u` and beside the repeats.
+    Raises `CalibrationError` when the readings do not determine the coefficients, or hold a mistake.
+    """
+    by = find_estimator(estimator)
+    chosen = _choose(readings, model, by, join_free=join_free, join_verification=join_verification)
+    rows = chosen.oriented
+    if nominal_angles:
+        rows = mistakes.at_nominal_angles(rows)
+    conditions = rows.conditions()
+    if by.angles_rad is not None:
+        conditions = replace(conditions, angle_rad=by.angles_rad(rows))
+    assumed = _left_assumed(assumed_u or {}, known)
+    problem = make_problem(
+        model, conditions, {**stand_u, **(assumed_u or {})}, _free_rows(chosen, readings), known
+    )
+    resolution = (rows if len(rows) else chosen.free).resolution
+    start = first_guess(problem, rows.signal, resolution)
+    refit = partial(gls.fit, problem, rows.signal, start, noise, resolution)
+    fit, found, notes = _fitted(problem, rows.signal, refit, by, chosen)
+    require_told(fit.noise)
+    fit_test = gls.lack_of_fit(problem, fit)
+    tails = heavy_tails(problem, fit)
+    digits = ROUNDING * float(np.max(np.abs(rows.signal), initial=0.0))
+    fit_test = replace(fit_test, rms=rms(fit.residuals), rounding=digits)
+    accepted = fit_test.accepted()  # else readings that are far off are off from a wrong model
+    floor = gls.noise_floor(rows.signal, resolution, problem.free)
+    alone = fit.covariance
+    shared = take_in(problem, fit, readings.unit, floor) if find_shared else Shared(fit)
+    fit = shared.fit
+    if by.gain is not None:
+        fit = linear_estimate(problem, rows.signal, fit, by.gain(problem, rows), shared.covariance)
+    birge = _birge(fit_test, shared)
+    covariance = birge**2 * fit.covariance[:FIXED, :FIXED]
+    # what repeats share of a misfit is no noise in which a channel could be lost
+    mistakes.refuse_singular(fit.block, u_of(covariance if accepted else alone[:FIXED, :FIXED]))
+    return Calibration(
+        estimator=by.name,
+        unit=readings.unit,
+        g_m_s2=g_m_s2,
+        block=fit.block,
+        covariance=covariance,
+        covariance_readings=covariance - birge**2 * _of_assumed(problem, fit, assumed, by),
+        gain=_whole_gain(fit.gain, fit.free_gain, chosen, len(readings)),
+        slope=_whole(fit.slope, chosen, len(readings)),
+        shared=shared.components,
+        drift=shared.drift,
+        wander=shared.wander,
+        birge=birge,
+        p_tails=tails,
+        noise=fit.noise,
+        lack_of_fit=replace(fit_test, rms=rms(fit.residuals)),
+        fitted=rows,
+        residuals=fit.residuals,
+        skipped=len(readings.skipped),
+        model=model.name,
+        stand=_stand(problem, fit) if by.weighs_all else {},
+        effects=_effects(problem, fit) if by.weighs_all else {},
+        assume=partial(_assumed, problem, fit.block, fit.gain, readings.unit),
+        free=chosen.free if len(chosen.free) else None,
+        modulus_error=fit.modulus,
+        outliers=found,
+        notes=(
+            *_notes_on_rows(readings, chosen, by.name, join_free=join_free),
+            *_on_levels(problem),
+            *(notes if accepted else ()),
+            *notes_on_noise(
+                fit.noise, tails if accepted and not notes else float("nan"), shared, birge, readings.unit
+            ),
+        ),
+        triangular=triangular(fit.block, covariance, g_m_s2) if problem.upper else None,
+        angles="nominal" if nominal_angles or by.angles_rad is not None else "read back",
+    )
+
+
+def _left_assumed(assumed_u: Mapping[str, float], known: KnownStand | None) -> dict[str, float]:
+    """Return the angles whose sizes nobody stated and no other run told."""
+    told = set() if known is None else {name for name, _ in known.keys}
+    return {name: u for name, u in assumed_u.items() if name not in told}
+
+
+# --- rows -------------------------------------------------------------------------------------------
+
+
+def _choose(
+    readings: Readings, model: ForwardModel, by: Estimator, *, join_free: bool, join_verification: bool
+) -> Chosen:
+    if join_verification and not by.weighs_all:
+        able = " or ".join(e.name for e in ESTIMATORS.values() if e.weighs_all)
+        raise CalibrationError(
+            f"the estimator {by.name} takes oriented readings alone; use {able} where verification "
+            "points are to join"
+        )
+    labels = [FREE] * join_free + [VERIFICATION] * join_verification
+    joins = np.isin(readings.installation, labels) & by.weighs_all
+    free = readings.select(joins)
+    mistakes.require_numbers(free, angles=False)
+    alone = bool(np.any(readings.installation[joins] == FREE)) and not len(readings.oriented())
+    rows = readings.oriented() if alone else usable_rows(readings, model)
+    oriented = np.flatnonzero(readings.is_oriented)
+    return Chosen(rows, free, oriented, np.flatnonzero(joins))
+
+
+def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
+    """Return the rows to fit; raises `CalibrationError` where none can be, or one is not a number."""
+    rows = readings.oriented()
+    if len(rows) == 0:
+        raise CalibrationError(
+            f"{readings.source}: no reading in an installation of known orientation; "
+            "a calibration needs installations 1 and 2, or free positions (F) all round"
+        )
+    strange = sorted(set(rows.installation.tolist()) - set(model.installations))
+    if strange:
+        raise CalibrationError(
+            f"{readings.source}: installation {', '.join(strange)} is not known (known are "
+            f"{', '.join(model.installations)}); define it in the bench file"
+        )
+    mistakes.require_numbers(rows, angles=True)
+    return rows
+
+
+def _free_rows(chosen: Chosen, readings: Readings) -> FreeRows | None:
+    """Return the free rows with times and temperatures as the whole table has them."""
+    if not len(chosen.free):
+        return None
+    whole, own = readings.conditions(), chosen.free.conditions()
+    at = chosen.free_rows
+    warmth = whole.warmth_k[at] + whole.reference_c
+    return FreeRows(
+        chosen.free.signal, replace(own, time_s=whole.elapsed_s[at], temperature_c=warmth, began_s=None)
+    )
+
+
+def _notes_on_rows(readings: Readings, chosen: Chosen, estimator: str, *, join_free: bool) -> tuple[str, ...]:
+    if np.any(chosen.free.installation == VERIFICATION):
+        return ("the verification points joined the fit: they are no independent check of it",)
+    count = int(np.sum(readings.installation == FREE))
+    if not count or len(chosen.free):
+        return ()
+    why = f"the estimator {estimator} takes oriented readings alone" if join_free else "as asked"
+    return (f"{count} free positions do not take part: {why}",)
+
+
+def _on_levels(problem: Problem) -> tuple[str, ...]:
+    """Say which angles of the stand a level showed, and how well."""
+    told = [s for s in problem.stand if s.measured]
+    if not told:
+        return ()
+    mounts = dict.fromkeys(str(problem.conditions.mounts[s.mount]) for s in told)
+    sizes = []
+    for column, symbol in enumerate(("alpha1", "alpha2")):
+        u = [s.prior_u / ARCSEC for s in told if s.column == column]
+        low, high = min(u), max(u)
+        sizes.append(f"{symbol}: {low:.2g}" + (f" to {high:.2g}" if high > 1.05 * low else "") + " arcsec")
+    return (
+        f"a level showed how the platform stood in installation {', '.join(mounts)} (u of {', of '.join(sizes)}); "
+        "that counts in place of the limits in the bench file",
+    )
+
+
+# --- the fit ----------------------------------------------------------------------------------------
+
+
+def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Block:
+    """Ordinary least squares at the nominal geometry; an ellipsoid where there are free positions alone.
+
+    Raises `CalibrationError` for too few orientations and for mistakes that show in such a fit.
+    """
+    if problem.upper and problem.free is not None:
+        mistakes.refuse_saturated_free(problem.free.signal)
+        block = first_guess_free(problem.free.signal)
+        mistakes.refuse_singular(block)
+        return block
+    columns = mistakes.force_columns(problem)
+    solution, left = least_squares(columns, signal)
+    if not mistakes.still_channels(signal):
+        mistakes.refuse_wrong_angle_unit(problem, signal, left)
+    require_rank(columns[:, :3])
+    mistakes.refuse_still(signal)
+    mistakes.refuse_saturated(columns, signal, resolution)
+    block = Block.from_vector(np.concatenate([solution[:3].T.ravel(), solution[3]]))
+    mistakes.refuse_singular(block)
+    return block
+
+
+def _fitted(
+    problem: Problem, signal: Floats, refit: partial[gls.Fit], by: Estimator, chosen: Chosen
+) -> tuple[gls.Fit, tuple[Outlier, ...], tuple[str, ...]]:
+    """Fit, weigh as the estimator does, and look for outliers where it does not take their weight away."""
+    fit = refit()
+    largest = max(float(np.max(np.abs(t.signal), initial=0.0)) for t in (chosen.oriented, chosen.free))
+    if fit.noise.reading < ROUNDING * largest:
+        return fit, (), ()
+    task = Task(problem, signal, fit, lambda shifts: refit(shifts=shifts))
+    fit = by.weigh(task)
+    if by.drops_outliers:
+        return fit, outliers.listed(fit, chosen), ()
+    # a note on one is enough, but free positions alone have too few rows to show one beside another
+    most = outliers.most_outliers(problem) if problem.upper else 1
+    notes = tuple(
+        f"an outlier is evident: {outlier.text()}; the estimator '{ROBUST}' takes its weight away"
+        for outlier in outliers.listed(outliers.search(problem, task.fit, task.refit, most), chosen)
+    )
+    return fit, (), notes
+
+
+def _birge(test: LackOfFit, shared: Shared) -> float:
+    """Return by how much u widens for what the model leaves, where no component of the readings has taken it in.
+
+    The Birge ratio, the root of the reduced chi-square. Source: R. T. Birge, Phys. Rev. 40 (1932) 207.
+    """
+    if shared.components or not test.shown or test.dof <= 0:
+        return 1.0
+    return max(1.0, float(np.sqrt(test.chi2 / test.dof)))
+
+
+def _of_assumed(problem: Problem, fit: gls.Fit, assumed: Mapping[str, float], by: Estimator) -> Floats:
+    """Return the part (12, 12) of the covariance that the stand's angles of sizes nobody stated bring in."""
+    names = [STAND_ANGLES[unknown.column] for unknown in problem.stand]
+    places = [j for j, name in enumerate(names) if name in assumed]
+    if not places:
+        return np.zeros((FIXED, FIXED))
+    if by.gain is not None:
+        own = problem.jacobian(fit.block, fit.others)[:, :, [FIXED + j for j in places]]
+        parts = np.einsum("pni,niq->pq", fit.gain, own) * problem.prior_u[places]
+        return np.asarray(parts @ parts.T)
+    at = FIXED + np.array(places)
+    across = fit.covariance[:FIXED, at]
+    return np.asarray(across @ np.linalg.solve(fit.covariance[np.ix_(at, at)], across.T))
+
+
+def _whole(oriented: Floats, chosen: Chosen, rows: int) -> Floats:
+    whole = np.zeros((rows, 3))
+    whole[chosen.oriented_rows] = oriented
+    return whole
+
+
+def _whole_gain(oriented: Floats, free: Floats, chosen: Chosen, rows: int) -> Floats:
+    """Return the map (12, rows, 3) from the whole table to the coefficients, zero for rows that are not used."""
+    whole = np.zeros((FIXED, rows, 3))
+    whole[:, chosen.oriented_rows] = oriented[:FIXED]
+    whole[:, chosen.free_rows] = free[:FIXED]
+    return whole
+
+
+def _assumed(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[str, ...]:
+    if not problem.upper:
+        return assumptions(problem, block, gain[:FIXED], unit)
+    return (
+        "common rotation of the block's axes: no free position shows it; by convention K is upper triangular "
+        "(axis z is that of channel z, axis y lies in the plane of channels y and z)",
+        "sign of each channel: no free position shows it; every scale factor is given as positive",
+        GAIN,
+        GRAVITY,
+    )
+
+
+def _stand(problem: Problem, fit: gls.Fit) -> dict[str, Estimate]:
+    """Return the estimates of the stand's angles by name."""
+    found = _estimates(problem, fit)[: len(problem.stand)]
+    return {
+        name: Estimate(value / ARCSEC, u / ARCSEC, "arcsec", unknown.prior_u / ARCSEC)
+        for (name, value, u), unknown in zip(found, problem.stand, strict=True)
+    }
+
+
+def _effects(problem: Problem, fit: gls.Fit) -> dict[str, Estimate]:
+    """Return the estimates of the parameters of effects by name."""
+    found = _estimates(problem, fit)[len(problem.stand) :]
+    sizes = [problem.parameter(unknown) for unknown in problem.effects]
+    return {
+        name: Estimate(value / p.si_per_unit, u / p.si_per_unit, p.unit)
+        for (name, value, u), p in zip(found, sizes, strict=True)
+    }
+
+
+def _estimates(problem: Problem, fit: gls.Fit) -> list[tuple[str, float, float]]:
+    """Return name, value and u of the unknowns after the coefficients, SI."""
+    u = u_of(fit.covariance)[FIXED:]
+    return list(zip(problem.names(), fit.others.tolist(), u.tolist(), strict=True))

@@ -1,0 +1,471 @@
+"""Variance components that repeats share: setting, pass, visit, drift; notes on them for a reader."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from scipy import special
+
+from bench.base.arrays import ARCSEC, CHANNELS, HOUR, Floats, Ints, rms
+from bench.base.numbers import scale_for
+from bench.calibration.design import Problem
+from bench.calibration.gls import Fit, finish
+from bench.calibration.noise import LEAST_REPEATS, repeat_groups, scatter_of_repeats
+from bench.calibration.result import Noise, NoisePrior, widening
+from bench.model.conditions import Conditions
+from bench.stats.reml import Mixed, Projection, asked_for, maximise
+from bench.stats.repeats_likelihood import DIGITS
+
+ASKED_P: Final = 0.01
+"""Components are taken in where chance alone would ask for any of them less often than this."""
+SOME: Final = 0.2
+"""Where the search for the variance of a component begins, as a part of that of the noise."""
+HARDLY_ANY: Final = 0.01
+"""A component whose variance is a smaller part of that of the noise has been taken in by another."""
+MOST_SIGNALS: Final = 1500
+"""More signals than these are not searched: their matrices would take minutes."""
+WAVES: Final = 8
+"""Shapes of a random walk that are kept: those left out have 1 % of its variance."""
+NOISE: Final = "noise"
+SETTING: Final = "setting error"
+ANGLE: Final = "angle of a setting"
+DRIFT: Final = "drift"
+
+
+@dataclass(frozen=True)
+class Component:
+    """A variance that readings share; `size` is its standard deviation in the unit of the signal, rad of an angle.
+
+    `what` says what shares it, `channels` in which; `dof` are its degrees of freedom, and `p` is the probability
+    that chance alone asks for any component as much.
+    """
+
+    what: str
+    channels: str
+    size: float
+    unit: str
+    dof: float
+    p: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "what": self.what,
+            "channels": self.channels,
+            "size": self.size,
+            "unit": self.unit,
+            "dof": self.dof,
+            "p": self.p,
+        }
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How far the biases wander about their mean over the run: `size` (3,) rms in the unit, over `hours`.
+
+    `course` (n, 3) is the estimate at each reading, `per_hour` (3,) the slope of its best line.
+    """
+
+    size: Floats
+    course: Floats
+    per_hour: Floats
+    hours: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "hours": self.hours,
+            "rms": dict(zip(CHANNELS, self.size.tolist(), strict=True)),
+            "per_hour": dict(zip(CHANNELS, self.per_hour.tolist(), strict=True)),
+        }
+
+
+@dataclass(frozen=True)
+class Shared:
+    """A fit that holds what its readings share, the components that were taken in, and the drift if one was.
+
+    `covariance` (3n + m, 3n + m) is that of the readings then; None where each is as the noise says. `wander` (3,),
+    unit, is how far each bias may wander about its mean over the run, rms: as found, widened for its few degrees
+    of freedom, or as the readings leave open where they ask for no drift; None where it was not searched for.
+    """
+
+    fit: Fit
+    components: tuple[Component, ...] = ()
+    drift: Drift | None = None
+    covariance: Floats | None = None
+    wander: Floats | None = None
+
+
+@dataclass(frozen=True)
+class _Term:
+    """A candidate: `columns` (N, q) of draws of unit variance times `scale` in the unit."""
+
+    what: str
+    channels: str
+    columns: Floats
+    unit_of: Floats
+    """What a draw of unit variance is in the unit of the signal (channels,) or rad."""
+
+
+def take_in(problem: Problem, fit: Fit, unit: str, floor: float = 0.0) -> Shared:
+    """Return the fit with what its readings share. Nothing is searched where there are too few repeats.
+
+    Nor where the noise is that of the last digit, whose covariance is singular within rounding. `floor`
+    (unit of the signal) is the least noise that is believed.
+    """
+    try:
+        return _searched(problem, fit, unit, floor)
+    except np.linalg.LinAlgError:
+        return Shared(fit)
+
+
+def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> Shared:
+    conditions, n = problem.conditions, len(problem.conditions)
+    if not 0 < 3 * n <= MOST_SIGNALS or fit.noise.source != "repeats":
+        return Shared(fit)
+    if fit.noise.reading**2 <= DIGITS * floor**2:  # rounding repeats itself, and stands in no other number
+        return Shared(fit)
+    basic = _basic(fit)
+    base = len(basic)
+    terms, theta, chance, open_to = _taken_in(problem, fit, basic, list(_further(conditions, fit)), floor)
+    theta[base:] = np.where(theta[base:] < HARDLY_ANY, 0.0, theta[base:])
+    if not np.any(theta[base:] > 0):
+        return Shared(fit, wander=open_to)
+    own = _mixed(problem, fit, [t.columns for t in terms])
+    at = Projection.at(own, theta)
+    shared = _shared(problem, fit, own, terms, theta, at, chance, base, unit)
+    found_drifts = np.zeros(3)
+    for component in shared.components:
+        if component.what == DRIFT:  # one run has few degrees of freedom of it
+            found_drifts[CHANNELS.index(component.channels)] = component.size * widening(component.dof)
+    wander = np.where(found_drifts > 0, found_drifts, open_to)
+    # one run tells little of a walk, and the three of a block are of one kind: none is below their mean
+    return replace(shared, wander=np.maximum(wander, rms(wander)))
+
+
+def _taken_in(
+    problem: Problem, fit: Fit, basic: list[_Term], further: list[_Term], floor: float
+) -> tuple[list[_Term], Floats, Floats, Floats]:
+    """Return the terms that are in, their variances and probabilities (k,), and how far biases may wander (3,).
+
+    Kinds of component are one family, which chance alone enters with `ASKED_P`: by Holm's method, stepping down,
+    each is asked for beside those that are in.
+    """
+    terms, left, chance = list(basic), list(further), np.zeros(len(basic))
+    theta = np.ones(len(basic))
+    theta[-1] = float(fit.noise.setting_rad > 0)
+    least = np.minimum((floor / fit.noise.by_channel) ** 2, 1.0)
+    open_to = np.zeros(3)
+    while left:
+        mixed = _mixed(problem, fit, [t.columns for t in (*terms, *left)])
+        at = Projection.at(mixed, np.concatenate([theta, np.zeros(len(left))]))
+        asked = asked_for(at, mixed.columns, len(terms), fit.noise.reading_dof)
+        if len(terms) == len(basic):
+            open_to = _wander(left, asked.expected)
+        what, p = _most_asked(left, asked.chance)
+        if p >= ASKED_P:
+            break
+        new = [t for t in left if t.what == what]
+        left = [t for t in left if t.what != what]
+        terms += new
+        chance = np.concatenate([chance, np.full(len(new), max(p, float(chance.max())))])
+        own, start = _mixed(problem, fit, [t.columns for t in terms]), np.full(len(terms), SOME)
+        start[: len(theta)] = np.where(theta > 0, theta, SOME)
+        at_least = np.concatenate([least, np.zeros(len(terms) - 3)])
+        theta, _ = maximise(own, start, np.ones(len(terms)), at_least)
+    return terms, theta, chance, open_to
+
+
+def _most_asked(terms: list[_Term], chance: Floats) -> tuple[str, float]:
+    """Return the kind that is asked for most, and the probability that chance alone asks for any as much.
+
+    The channels of a kind are asked for together (Fisher's combination of their probabilities).
+    """
+    kinds = list(dict.fromkeys(t.what for t in terms))
+    of = np.array([kinds.index(t.what) for t in terms], dtype=np.int64)
+    surprise = np.bincount(of, -2.0 * np.log(np.maximum(chance, 1e-300)))
+    of_kind = special.chdtrc(2.0 * np.bincount(of), surprise)
+    most = int(np.argmin(of_kind))
+    return kinds[most], min(len(kinds) * float(of_kind[most]), 1.0)
+
+
+def _wander(terms: list[_Term], variances: Floats) -> Floats:
+    """Return the rms of each bias about its mean (3,) for the variances of the candidates, in the unit."""
+    size = np.zeros(3)
+    for term, variance in zip(terms, variances.tolist(), strict=True):
+        if term.what == DRIFT:
+            size[CHANNELS.index(term.channels)] = float(np.sqrt(variance)) * rms(term.unit_of)
+    return size
+
+
+# --- candidates -------------------------------------------------------------------------------------
+
+
+def _basic(fit: Fit) -> list[_Term]:
+    """The noise of each channel and the setting error, in units of the sizes that the repeats gave."""
+    n = len(fit.residuals)
+    free = fit.system.free
+    terms = []
+    for c, size in enumerate(fit.noise.by_channel.tolist()):
+        columns = np.zeros((3 * n + len(free.left), n + len(free.left)))
+        columns[3 * np.arange(n) + c, np.arange(n)] = size
+        columns[3 * n + np.arange(len(free.left)), n + np.arange(len(free.left))] = (
+            free.by_signal[:, c] * size
+        )
+        terms.append(_Term(NOISE, CHANNELS[c], columns, np.array([size])))
+    along = np.zeros((3 * n + len(free.left), n))
+    size = fit.noise.setting_rad or _typical(fit) / max(rms(np.linalg.norm(fit.slope, axis=1)), 1e-300)
+    for c in range(3):
+        along[3 * np.arange(n) + c, np.arange(n)] = fit.slope[:, c] * size
+    return [*terms, _Term(SETTING, "all", along, np.array([size]))]
+
+
+def _typical(fit: Fit) -> float:
+    return rms(fit.noise.by_channel)
+
+
+def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
+    """Yield what may be shared beyond that. A size of its own per channel only where repeats are many enough."""
+    settings = repeat_groups(conditions)
+    passes = _labels(conditions.mount, conditions.pass_number)
+    visits = _visits(conditions)
+    n, further = len(conditions), len(fit.system.free.left)
+    sizes = fit.noise.by_channel
+    if np.bincount(settings).max() > 1:
+        yield _Term("setting", "all", _by_group(settings, sizes, range(3), further), sizes)
+        yield _Term(ANGLE, "all", _along(settings, fit, further), np.array([_angle(fit)]))
+    if len(np.unique(visits)) < n and np.bincount(visits).max() > 1:
+        yield _Term("visit", "all", _by_group(visits, sizes, range(3), further), sizes)
+    if len(np.unique(passes)) > len(conditions.mounts):
+        for c in range(3):
+            yield _Term("pass", CHANNELS[c], _by_group(passes, sizes, [c], further), sizes[[c]])
+    shapes = _walk(conditions.elapsed_s)
+    if shapes.shape[1]:
+        for c in range(3):
+            columns = np.zeros((3 * n + further, shapes.shape[1]))
+            columns[c : 3 * n : 3] = shapes * sizes[c]
+            yield _Term(DRIFT, CHANNELS[c], columns, sizes[[c]])
+
+
+def _labels(*of: Ints) -> Ints:
+    return np.unique(np.stack(of, axis=1), axis=0, return_inverse=True)[1].ravel()
+
+
+def _visits(conditions: Conditions) -> Ints:
+    """Number the stays at a setting: readings that follow each other at one point of one pass."""
+    same = np.ones(max(len(conditions) - 1, 0), dtype=bool)
+    for column in (conditions.mount, conditions.pass_number, conditions.point):
+        same &= column[1:] == column[:-1]
+    return np.concatenate([[0], np.cumsum(~same)])
+
+
+def _by_group(groups: Ints, sizes: Floats, channels: Any, further: int) -> Floats:
+    n, count = len(groups), int(groups.max()) + 1
+    columns = np.zeros((3 * n + further, count * len(channels)))
+    for j, c in enumerate(channels):
+        columns[3 * np.arange(n) + c, groups * len(channels) + j] = sizes[c]
+    return columns
+
+
+def _angle(fit: Fit) -> float:
+    return _typical(fit) / max(rms(np.linalg.norm(fit.slope, axis=1)), 1e-300)
+
+
+def _along(groups: Ints, fit: Fit, further: int) -> Floats:
+    n, size = len(groups), _angle(fit)
+    columns = np.zeros((3 * n + further, int(groups.max()) + 1))
+    for c in range(3):
+        columns[3 * np.arange(n) + c, groups] = fit.slope[:, c] * size
+    return columns
+
+
+def _walk(time_s: Floats) -> Floats:
+    """Return the first shapes (n, q) of a random walk about its mean over the readings, of unit mean variance."""
+    if not np.ptp(time_s) > 0:
+        return np.zeros((len(time_s), 0))
+    walk = np.minimum.outer(time_s, time_s) - time_s.min()
+    centred = walk - walk.mean(axis=0) - walk.mean(axis=1)[:, None] + walk.mean()
+    size, shapes = np.linalg.eigh(centred / np.trace(centred) * len(time_s))
+    most = min(WAVES, int(np.sum(size > 1e-9 * size[-1])))
+    return np.asarray(shapes[:, ::-1][:, :most] * np.sqrt(size[::-1][:most]))
+
+
+def walk_since(time_s: Floats, later_s: Floats) -> Floats:
+    """Return the covariance (v, v) of a random walk at later times about its mean over readings at `time_s` (n,).
+
+    In units of its mean variance over these readings, as the size of a drift is stated.
+    """
+    begin = min(float(time_s.min()), float(later_s.min()))
+    at, then = time_s - begin, later_s - begin
+    own, across = np.minimum.outer(at, at), np.minimum.outer(then, at)
+    mean = across.mean(axis=1)
+    about = np.minimum.outer(then, then) - mean[:, None] - mean + own.mean()
+    size = float(np.mean(np.diag(own)) - own.mean())
+    return np.asarray(about / size) if size > 0 else np.zeros((len(later_s),) * 2)
+
+
+# --- the fit with them ------------------------------------------------------------------------------
+
+
+def _mixed(problem: Problem, fit: Fit, Z: list[Floats]) -> Mixed:
+    """The linear system of the fit as data with fixed effects; what has a stated prior is a known covariance."""
+    system, others = fit.system, fit.others
+    rows = np.concatenate([system.jacobian.reshape(-1, system.jacobian.shape[2]), system.free.jacobian])
+    fixed = rows.shape[1] - len(others)
+    y = np.concatenate([system.left.ravel(), system.free.left])
+    y = y + rows[:, fixed:] @ (others - problem.prior_mean)
+    scaled = problem.by_prior(rows[:, fixed:])
+    return Mixed(y, rows[:, :fixed], tuple(Z), scaled @ scaled.T)
+
+
+def _shared(
+    problem: Problem, fit: Fit, mixed: Mixed, terms: list[_Term], theta: Floats, at: Projection, chance: Floats,
+    base: int, unit: str,
+) -> Shared:  # fmt: skip
+    used = theta > 0
+    information = at.moments(mixed.only(used).columns)[2]
+    spread = np.linalg.pinv(information * np.outer(theta[used], theta[used]), rcond=1e-10)
+    dof = np.full(len(theta), np.inf)
+    dof[used] = 2.0 / np.maximum(np.diag(spread), 1e-12)
+    wider = theta * np.array([widening(nu) ** 2 for nu in dof])
+    noise = _noise(fit, terms, theta, dof, base)
+    n = len(fit.residuals)
+    prior_free = replace(mixed, known=np.zeros_like(mixed.known))
+    covariance = prior_free.covariance(wider)
+    final = finish(problem, fit, covariance, noise)
+    found = tuple(
+        Component(t.what, t.channels, float(np.sqrt(size)) * rms(t.unit_of),
+                  "rad" if t.what == ANGLE else unit, float(nu), float(p))
+        for t, size, nu, p in zip(terms[base:], theta[base:], dof[base:], chance[base:], strict=True)
+        if size > 0
+    )  # fmt: skip
+    drifts = [
+        (t, z, size) for t, z, size in zip(terms, mixed.Z, theta, strict=True) if t.what == DRIFT and size
+    ]
+    return Shared(final, found, _drift(problem, mixed, at, drifts, n) if drifts else None, covariance)
+
+
+def _noise(fit: Fit, terms: list[_Term], theta: Floats, dof: Floats, base: int) -> Noise:
+    sizes = np.sqrt(theta[:base]) * np.array([rms(t.unit_of) for t in terms[:base]])
+    channels = sizes[:3]
+    own = replace(fit.noise, reading=rms(channels), setting_rad=float(sizes[3]))
+    x, y, z = channels.tolist()
+    nx, ny, nz = np.where(np.isfinite(dof[:3]), dof[:3], fit.noise.reading_dof).tolist()
+    return replace(own, channels=(x, y, z), channel_dof=(nx, ny, nz))
+
+
+def _drift(
+    problem: Problem, mixed: Mixed, at: Projection, drifts: list[tuple[_Term, Floats, float]], n: int
+) -> Drift:
+    """The best linear prediction of each channel's course, and of the line through it."""
+    time_h = problem.conditions.elapsed_s / HOUR
+    line = time_h - time_h.mean()
+    size, course = np.zeros(3), np.zeros((n, 3))
+    for term, columns, variance in drifts:
+        c = CHANNELS.index(term.channels)
+        own = columns[c : 3 * n : 3]
+        course[:, c] = own @ (variance * (columns.T @ at.Py))
+        size[c] = float(np.sqrt(variance)) * rms(term.unit_of)
+    return Drift(size, course, line @ course / (line @ line), float(np.ptp(time_h)))
+
+
+def heavy_tails(problem: Problem, fit: Fit) -> float:
+    """Return the probability of so many large deviations of repeats where the noise is Gaussian; NaN if too few.
+
+    From the excess kurtosis of repeats about their means over their noise, whose standard deviation is sqrt(24/N).
+    """
+    if not len(problem.conditions) or fit.noise.source != "repeats":
+        return float("nan")
+    groups = repeat_groups(problem.conditions)
+    if scatter_of_repeats(fit.residuals, fit.slope, groups).settings < LEAST_REPEATS:
+        return float("nan")
+    count = np.bincount(groups)
+    means = np.stack([np.bincount(groups, column) for column in fit.residuals.T], axis=1) / count[:, None]
+    kept = count[groups] > 1
+    # a deviation from the mean of m has (m - 1)/m of the variance
+    left = (fit.residuals - means[groups])[kept] / np.sqrt(1.0 - 1.0 / count[groups][kept])[:, None]
+    size = np.sqrt(fit.noise.by_channel**2 + (fit.noise.setting_rad * fit.slope[kept]) ** 2)
+    z = left / size
+    if not np.any(z):
+        return float("nan")
+    excess = float(np.mean(z**4) / np.mean(z**2) ** 2 - 3.0)
+    # repeats of a group are correlated: deviations count only as often as they are free
+    free = 3.0 * float((count - 1)[count > 1].sum())
+    return float(special.ndtr(-excess / np.sqrt(24.0 / free)))
+
+
+UNEQUAL_P: Final = 0.001
+"""Channels of different noise, and heavy tails, are told from here on: not in every hundredth run."""
+
+DISAGREES_P: Final = 0.05
+"""Few readings seldom contradict a statement: a doubt is told early."""
+
+_SHARED_BY: Final = {
+    "setting": "the readings at a setting (installation and point) in all passes",
+    ANGLE: "the readings at a setting (installation and point) in all passes",
+    "visit": "the readings of one stay at a setting",
+    "pass": "the readings of one pass",
+}
+
+
+def notes_on_noise(noise: Noise, tails: float, shared: Shared, birge: float, unit: str) -> tuple[str, ...]:
+    """Return the sentences; `tails` is the probability of such tails, `birge` by how much u was widened."""
+    notes = [*note_on_prior(noise, unit)]
+    if noise.channels is not None and noise.p_equal < UNEQUAL_P:
+        sizes = ", ".join(f"{c} {size:.2g} {unit}" for c, size in zip(CHANNELS, noise.channels, strict=True))
+        notes.append(f"the channels differ in noise ({sizes}; p = {noise.p_equal:.1g}): each has its own")
+    if tails < UNEQUAL_P:
+        notes.append(
+            f"the noise has heavy tails (p = {tails:.1g}): u holds for its standard deviation, and the estimator "
+            "'robust' leaves out what is far off"
+        )
+    notes += _on_components(shared.components, unit)
+    if shared.drift is not None:
+        notes.append(
+            f"U0 is the bias at the mean of the run of {shared.drift.hours:.2g} h; at any one time it is less "
+            "certain by as much as it wanders"
+        )
+    if birge > 1.0:
+        notes.append(
+            f"the model leaves more than the noise explains: u is {birge:.2g} times what the noise alone gives "
+            "(Birge ratio)"
+        )
+    return tuple(notes)
+
+
+def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
+    """Say where u rests on a statement, and whether the readings agree with it."""
+    return () if noise.prior is None else (_on_prior(noise.prior, unit),)
+
+
+def _on_prior(prior: NoisePrior, unit: str) -> str:
+    where = "the bench file states" if prior.stated else "other runs told"
+    scale = scale_for(prior.reading, unit)
+    rests = (
+        f"u rests on the sizes of the noise that {where} (reading {prior.reading / scale.size:.3g} {scale.unit}, "
+        f"setting {prior.setting_rad / ARCSEC:.2g} arcsec, {prior.dof:.2g} degrees of freedom)"
+    )
+    if not prior.readings_dof > 0:
+        return f"{rests}: so few readings leave nothing over that would show the noise"
+    scatter = f"they scatter {prior.ratio:.2g} times as much"
+    if prior.p < DISAGREES_P:
+        return f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points"
+    return f"{rests}: so few readings show little of it, and {scatter} (p = {prior.p:.2g})"
+
+
+def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
+    for what in dict.fromkeys(c.what for c in components):
+        own = [c for c in components if c.what == what]
+        if what == ANGLE:
+            sizes = f"{own[0].size / ARCSEC:.2g} arcsec of the head"
+        elif own[0].channels == "all":
+            sizes = f"{own[0].size:.2g} {unit}"
+        else:
+            sizes = ", ".join(f"{c.channels} {c.size:.2g} {unit}" for c in own)
+        if what == DRIFT:
+            yield f"the biases seem to wander over the run by {sizes} rms about their means: u holds it"
+        else:
+            yield f"{_SHARED_BY[what]} seem to share an error ({sizes}), which repeats do not average: u holds it"

@@ -1,0 +1,453 @@
+"""Whether a measured value conforms to a tolerance of ±limit, and with which risk the decision is wrong.
+
+The measured value y with its standard uncertainty u is the best estimate of what is measured, whose distribution
+is normal, or a scaled and shifted Student t where u has finite degrees of freedom (JCGM 101:2008, 6.4.9). Where
+nothing else is known, this is the distribution after the measurement; a population that is stated is the prior,
+and Bayes' theorem gives the distribution after it (JCGM 106:2012, 6.2 and A.4). The conformance probability is its
+part within the tolerance (JCGM 106:2012, 7). Rules and statements: JCGM 106:2012, 8 and ILAC-G8:09/2019.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import special
+
+from bench.base.arrays import Floats, Mask
+from bench.calibration.result import CalibrationError
+
+SIMPLE: Final = "simple acceptance"
+GUARDED: Final = "guarded"
+NON_BINARY: Final = "non-binary"
+RULES: Final = (SIMPLE, GUARDED, NON_BINARY)
+
+FALSE_ACCEPTANCE: Final = 0.05
+"""Largest probability of a false acceptance at a point, by the rule that holds where nobody states one."""
+NOMINAL_BAND: Final = float(special.ndtri(1.0 - FALSE_ACCEPTANCE)) / 2.0
+"""Its guard band in U, of a normal distribution with the other limit far away: 1.645 u."""
+
+COVERAGE_FACTOR: Final = 2.0
+"""U is so many times u where its degrees of freedom are infinite."""
+
+_COVERAGE: Final = float(special.ndtr(COVERAGE_FACTOR) - special.ndtr(-COVERAGE_FACTOR))
+_SEED: Final = 106
+"""Of the draws that give the probability of several values together."""
+_DRAWS: Final = 100_000
+_AT_ONCE: Final = 10_000
+_NEGLIGIBLE: Final = 1e-9
+_SCALES: Final = 201
+"""So many normal distributions make a t."""
+_FARTHEST: Final = 30.0
+_ALIKE: Final = {1.0: 0.8, 0.0: 0.2}
+"""Correlation of the points of a block in its population, and how probable it is before they are measured.
+
+A population is of blocks: that a block has one error is the more probable; one for each point is not excluded.
+"""
+_HALVINGS: Final = 50
+_FAR: Final = 12.0
+"""So many standard deviations away nothing is left of a normal distribution."""
+
+
+class Statement(StrEnum):
+    """A statement of conformity (ILAC-G8:09/2019, 4.2), or why there is none; the worst of several stands last."""
+
+    PASS = "pass"
+    CONDITIONAL_PASS = "conditional pass"
+    CONDITIONAL_FAIL = "conditional fail"
+    INCONCLUSIVE = "inconclusive"
+    NOT_COMPLETE = "not complete"
+    FAIL = "fail"
+
+
+@dataclass(frozen=True)
+class DecisionRule:
+    """How the uncertainty counts: `name` is one of `RULES`, the guard band is w = `guard_band` · U.
+
+    Simple acceptance takes nothing off the limit; its statements have a guard band of U. The guarded rule accepts
+    up to limit − w. The non-binary one accepts there, too, and rejects beyond limit + w; what lies between is
+    stated, and accepted by nobody but the customer. A `guard_band` of None is that of the default rule: w is where
+    the probability of a false acceptance is `FALSE_ACCEPTANCE`.
+    """
+
+    name: str = NON_BINARY
+    guard_band: float | None = None
+
+    @classmethod
+    def of(cls, asked: str | DecisionRule | None, guard_band: float | None = None) -> DecisionRule:
+        """Return the rule for what a person typed: "simple" is simple acceptance. Raises `CalibrationError`.
+
+        With None it is the default rule, or with a guard band the non-binary one with that; a rule that is named
+        without a guard band has w = U.
+        """
+        if isinstance(asked, DecisionRule):
+            return asked
+        if asked is None and guard_band is None:
+            return cls()
+        name = {None: NON_BINARY, "simple": SIMPLE}.get(asked, asked)
+        if name not in RULES:
+            raise CalibrationError(f"no decision rule {asked!r}; there are {', '.join(RULES)}")
+        if guard_band is None:
+            return cls(name, 1.0)
+        if name == SIMPLE:
+            raise CalibrationError(
+                "simple acceptance takes no guard band off the limit; leave it out, or ask for the rule guarded"
+            )
+        if not (math.isfinite(guard_band) and guard_band > 0.0):
+            raise CalibrationError(
+                f"a guard band of {guard_band:g} U: expected a positive number, such as 0.83"
+            )
+        return cls(name, guard_band)
+
+    @property
+    def false_acceptance(self) -> float | None:
+        """The probability of a false acceptance that sets the guard band; None where it is so many times U."""
+        return FALSE_ACCEPTANCE if self.guard_band is None else None
+
+    def to_json(self) -> dict[str, str | float | None]:
+        """Return the rule as results have it."""
+        band = NOMINAL_BAND if self.guard_band is None else self.guard_band
+        return {"rule": self.name, "guard_band": band, "false_acceptance": self.false_acceptance}
+
+    @classmethod
+    def of_json(cls, told: Mapping[str, Any]) -> DecisionRule:
+        """Return the rule that a result has, also one of an earlier version."""
+        return cls(told["rule"], None if told.get("false_acceptance") else told["guard_band"])
+
+    @property
+    def words(self) -> str:
+        """The rule as a verdict names it: "guarded (w = 0.83 U)"."""
+        if self.guard_band is None:
+            return f"{self.name} (false acceptance ≤ {100 * FALSE_ACCEPTANCE:g} %)"
+        times = "" if self.guard_band == 1.0 else f"{self.guard_band:g} "
+        return self.name if self.name == SIMPLE else f"{self.name} (w = {times}U)"
+
+    def acceptance_limit(self, limit: float, known: Known) -> Floats:
+        """Return up to which |y| is accepted, (n,).
+
+        Negative where nothing is: where U is more than the limit no value can be stated to conform, not even 0.
+        Source: JCGM 106:2012, 8.2.1 and 8.3.2.1.
+        """
+        sure = self.pass_limit(limit, known)
+        return np.where(known.expanded <= limit, limit, sure) if self.name == SIMPLE else sure
+
+    def pass_limit(self, limit: float, known: Known) -> Floats:
+        """Return up to which |y| is stated to pass, (n,); negative where nothing is."""
+        if self.guard_band is None:
+            capable = known.expanded <= limit
+            return np.where(capable, _largest_sure(limit, known), limit - known.expanded)
+        return (
+            limit
+            - np.where(known.expanded <= limit, self.guard_band, max(1.0, self.guard_band)) * known.expanded
+        )
+
+    def rejects(self, statement: Statement) -> bool:
+        """Whether a value with this statement that is not accepted is rejected.
+
+        What nothing can be said of is not, nor is a conditional pass under the non-binary rule.
+        """
+        left_open = statement is Statement.CONDITIONAL_PASS and self.name == NON_BINARY
+        return statement is not Statement.INCONCLUSIVE and not left_open
+
+    def statements(self, value: Floats, limit: float, known: Known) -> list[Statement]:
+        """Return the statements on measured values (n,).
+
+        With U beyond the limit there is none but "fail", of a value that is out by more than the guard band and U.
+        Beyond the limit the guard band is that of the measurement alone, also where a population is stated.
+        """
+        if self.guard_band is None:
+            guard = _quantile(1.0 - FALSE_ACCEPTANCE, known.dof) * known.u
+        else:
+            guard = self.guard_band * known.expanded
+        rows = zip(
+            np.abs(value).tolist(), guard.tolist(), known.expanded.tolist(),
+            self.pass_limit(limit, known).tolist(), strict=True,
+        )  # fmt: skip
+        return [_statement(*row, limit) for row in rows]
+
+
+def _statement(size: float, guard: float, expanded: float, passes_to: float, limit: float) -> Statement:
+    capable = expanded <= limit
+    if not math.isfinite(size) or size > limit + (guard if capable else max(guard, expanded)):
+        return Statement.FAIL
+    if not capable:
+        return Statement.INCONCLUSIVE
+    if size > limit:
+        return Statement.CONDITIONAL_FAIL
+    return Statement.PASS if size <= passes_to else Statement.CONDITIONAL_PASS
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of n measured values but the values: u, U, degrees of freedom, each (n,), and a population."""
+
+    u: Floats
+    expanded: Floats
+    dof: Floats
+    population: Population | None = None
+
+    @classmethod
+    def of(cls, u: ArrayLike, dof: ArrayLike = np.inf, population: Population | None = None) -> Known:
+        """Return it with U at the level of k = 2."""
+        size, nu = (np.atleast_1d(np.asarray(one, dtype=np.float64)) for one in (u, dof))
+        nu = np.broadcast_to(nu, size.shape)
+        return cls(size, coverage_factor(nu) * size, nu, population)
+
+    def but(self, *, times: float) -> Known:
+        """Return it with all uncertainties so many times as large."""
+        return replace(self, u=times * self.u, expanded=times * self.expanded)
+
+    def outside(self, value: ArrayLike, limit: float) -> Floats:
+        """Return `probability_outside` of values (n,)."""
+        return probability_outside(value, self.u, limit, self.dof, self.population)
+
+
+def _largest_sure(limit: float, known: Known) -> Floats:
+    """Return the largest |y| (n,) at which, on either side, the probability of a false acceptance is not too large.
+
+    At most the limit; −limit where even 0 has more. By bisection: on the worse side the probability grows with |y|.
+    """
+
+    def sure(size: Floats) -> Mask:
+        both = [known.outside(side * size, limit) for side in (1.0, -1.0)]
+        return np.maximum(*both) <= FALSE_ACCEPTANCE
+
+    low, high = np.zeros(known.u.shape), np.full(known.u.shape, limit)
+    none, all_of_it = ~sure(low), sure(high)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        inside = sure(middle)
+        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+    return np.where(none, -limit, np.where(all_of_it, limit, low))
+
+
+def coverage_factor(dof: ArrayLike) -> Floats:
+    """Return k of U = k u for degrees of freedom, of any shape: 2 where they are infinite, else of the same level.
+
+    Source: JCGM 100:2008, G.3.
+    """
+    nu = np.asarray(dof, dtype=np.float64)
+    return np.where(np.isinf(nu), COVERAGE_FACTOR, _quantile(0.5 * (1.0 + _COVERAGE), nu))
+
+
+def _quantile(level: float, dof: Floats) -> Floats:
+    """Return the quantile of Student t, normal where the degrees of freedom are infinite."""
+    finite = special.stdtrit(np.where(np.isinf(dof), 1.0, dof), level)
+    return np.where(np.isinf(dof), special.ndtri(level), finite)
+
+
+def probability_outside(
+    value: ArrayLike,
+    u: ArrayLike,
+    limit: float,
+    dof: ArrayLike = np.inf,
+    population: Population | None = None,
+) -> Floats:
+    """Return the probability that what was measured lies outside ±limit; 1 less it is the conformance probability.
+
+    `value`, `u` and `dof` have one shape. It is the probability of a false acceptance where the value is accepted,
+    and 1 less it that of a false rejection where not: the specific risks. A `population` is the distribution before
+    the measurement. Source: JCGM 106:2012, 7.4, 9.3 and A.4.
+    """
+    y, size, nu = np.broadcast_arrays(*(np.asarray(each, dtype=np.float64) for each in (value, u, dof)))
+    if population is not None:
+        sizes, weight = _mixture(y, size, nu, population)
+        shrunk = population.variance / (population.variance + sizes**2)
+        mean = population.mean + shrunk * (y - population.mean)
+        infinite = np.full(mean.shape, np.inf)
+        beyond = _beyond(mean, np.sqrt(shrunk) * sizes, limit, infinite)
+        return np.asarray(np.sum(weight * beyond, axis=0))
+    return _beyond(y, size, limit, nu)
+
+
+def _beyond(mean: Floats, size: Floats, limit: float, dof: Floats) -> Floats:
+    """Return the part outside ±limit of a distribution about `mean`, (…)."""
+    spread, y = np.where(size > 0.0, size, 1.0), np.abs(mean)
+    beyond = _below((y - limit) / spread, dof) + _below((-y - limit) / spread, dof)
+    return np.where(size > 0.0, beyond, np.where(y > limit, 1.0, 0.0))
+
+
+def _mixture(y: Floats, u: Floats, dof: Floats, population: Population) -> tuple[Floats, Floats]:
+    """Return sizes (m, …) of the normal distributions of which t is the mixture, with their weights after y."""
+    if np.all(np.isinf(dof)):
+        return u[None], np.ones((1, *y.shape))
+    factors, log_weights = _scales(dof)
+    sizes = np.sqrt(factors) * u
+    variance = population.variance + sizes**2
+    off = (y - population.mean) ** 2 / variance + np.log(variance)
+    return sizes, special.softmax(log_weights - 0.5 * off, axis=0)
+
+
+def _scales(dof: Floats) -> tuple[Floats, Floats]:
+    """Return factors (m, …) of the variance that make normal distributions a t, with the logarithms of the weights.
+
+    Quantiles of chi-square, evenly spaced in the logit of their probability, so that far tails are among them.
+    """
+    logit = np.linspace(-_FARTHEST, _FARTHEST, _SCALES).reshape(-1, *[1] * np.ndim(dof))
+    nu = np.where(np.isinf(dof), 1.0, dof)[None]
+    factors = np.where(np.isinf(dof)[None], 1.0, nu / special.chdtri(nu, special.expit(-logit)))
+    return factors, np.broadcast_to(special.log_expit(logit) + special.log_expit(-logit), factors.shape)
+
+
+def _below(t: Floats, dof: Floats) -> Floats:
+    """Return the distribution function of Student t, normal where the degrees of freedom are infinite."""
+    finite = special.stdtr(np.where(np.isinf(dof), 1.0, dof), t)
+    return np.where(np.isinf(dof), special.ndtr(t), finite)
+
+
+def probability_one_outside(
+    value: Floats,
+    covariance: Floats,
+    limit: float,
+    dof: ArrayLike = np.inf,
+    population: Population | None = None,
+) -> float:
+    """Return the probability that of n quantities at least one lies outside ±limit.
+
+    `value` (n,) with `covariance` (n, n) and `dof`, of which the least counts for all: they were found together.
+    A `population` is the distribution of each before the measurement. Whether the points of one block have one
+    error or each its own is not stated with it: the values tell, after what `_ALIKE` holds probable before.
+    By `_DRAWS` draws with a seed of its own, the same at each call: a probability of 0.01 is found to 0.0003.
+    Rarer ones are held by those of the single quantities: at least the largest, at most their sum.
+    """
+    nu = float(np.min(np.asarray(dof)))
+    if population is None:
+        parts = [(1.0, value, covariance)]
+        single = probability_outside(value, _sizes(covariance), limit, dof)
+    else:
+        parts = _after(value, covariance, nu, population)
+        single = _each_outside(parts, limit)
+        nu = math.inf
+    least, most = float(np.max(single)), min(float(np.sum(single)), 1.0)
+    if len(value) == 1 or most - least <= _NEGLIGIBLE:
+        return least
+    rng = np.random.default_rng(_SEED)
+    outside = 0.0
+    for weight, mean, spread in parts:
+        draws = max(_DRAWS // len(parts) // _AT_ONCE, 1)
+        found = sum(_outside(rng, mean, spread, limit, nu) for _ in range(draws))
+        outside += weight * found / (draws * _AT_ONCE)
+    return min(max(outside, least), most)
+
+
+def probability_worst_outside(
+    value: Floats, covariance: Floats, limit: float, dof: ArrayLike, population: Population
+) -> float:
+    """Return the largest of the probabilities of single quantities, each after all values; else as all together."""
+    parts = _after(value, covariance, float(np.min(np.asarray(dof))), population)
+    return float(np.max(_each_outside(parts, limit)))
+
+
+def _each_outside(parts: Sequence[tuple[float, Floats, Floats]], limit: float) -> Floats:
+    """Return the probability of each quantity (n,) that it lies outside ±limit, of a mixture of distributions."""
+    return np.asarray(sum(w * probability_outside(mean, _sizes(c), limit) for w, mean, c in parts))
+
+
+def _sizes(covariance: Floats) -> Floats:
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+
+
+def _outside(rng: np.random.Generator, mean: Floats, covariance: Floats, limit: float, dof: float) -> int:
+    """Return how many of `_AT_ONCE` draws have a quantity outside ±limit."""
+    variances, axes = np.linalg.eigh(covariance)
+    drawn = rng.standard_normal((_AT_ONCE, len(mean))) @ (axes * np.sqrt(np.maximum(variances, 0.0))).T
+    if math.isfinite(dof):
+        drawn *= np.sqrt(dof / rng.chisquare(dof, _AT_ONCE))[:, None]
+    return int(np.sum(np.any(np.abs(mean + drawn) > limit, axis=1)))
+
+
+def _after(
+    value: Floats, covariance: Floats, dof: float, population: Population
+) -> list[tuple[float, Floats, Floats]]:
+    """Return weights, means (n,) and covariances (n, n) of the normal distributions that make up the posterior."""
+    n, off = len(value), value - population.mean
+    scales = [(1.0, 0.0)]
+    if math.isfinite(dof):
+        scales = list(zip(*(one[:: _SCALES // 20].tolist() for one in _scales(np.array(dof))), strict=True))
+    found, log_weights = [], []
+    for alike, probability in _ALIKE.items() if n > 1 else [(0.0, 1.0)]:
+        prior = population.variance * (alike * np.ones((n, n)) + (1.0 - alike + _NEGLIGIBLE) * np.eye(n))
+        for scale, log_weight in scales:
+            both = prior + scale * covariance
+            gain = np.linalg.solve(both, prior).T
+            found.append((population.mean + gain @ off, prior - gain @ prior))
+            fit = off @ np.linalg.solve(both, off) + np.linalg.slogdet(both)[1]
+            log_weights.append(math.log(probability) + log_weight - 0.5 * fit)
+    weights = special.softmax(log_weights).tolist()
+    return [(w, *after) for w, after in zip(weights, found, strict=True) if w > _NEGLIGIBLE]
+
+
+@dataclass(frozen=True)
+class Population:
+    """What is known of a quantity over all items before one is measured: normal, with mean and deviation."""
+
+    mean: float
+    standard_deviation: float
+
+    def __post_init__(self) -> None:
+        """Refuse what is no population. Raises `CalibrationError`."""
+        sizes = (self.mean, self.standard_deviation)
+        if not all(map(math.isfinite, sizes)) or self.standard_deviation <= 0.0:
+            raise CalibrationError(
+                f"a population of mean {self.mean:g} and standard deviation {self.standard_deviation:g}: "
+                "expected two numbers, the second positive"
+            )
+
+    @property
+    def variance(self) -> float:
+        """The square of the standard deviation."""
+        return self.standard_deviation**2
+
+
+@dataclass(frozen=True)
+class GlobalRisk:
+    """Of all items of a population: the part accepted without conforming, and the part rejected that conforms."""
+
+    false_accept: float
+    false_reject: float
+
+
+def global_risk(
+    population: Population, u: float, limit: float, accepted_up_to: float, dof: float = math.inf
+) -> GlobalRisk:
+    """Return the global risks of accepting measured values up to ±`accepted_up_to`, measured with u.
+
+    The double integral over true and measured value, of which the inner one has a closed form. Source:
+    JCGM 106:2012, 9.5.
+    """
+    from scipy.integrate import quad
+
+    mean, deviation = population.mean, population.standard_deviation
+
+    def accepted(true: float) -> float:
+        if accepted_up_to < 0.0:
+            return 0.0
+        if u == 0.0:
+            return float(abs(true) <= accepted_up_to)
+        at = np.array([accepted_up_to - true, -accepted_up_to - true]) / u
+        high, low = _below(at, np.full(2, dof))
+        return float(high - low)
+
+    def density(true: float) -> float:
+        z = (true - mean) / deviation
+        return math.exp(-0.5 * z * z) / (deviation * math.sqrt(2.0 * math.pi))
+
+    def part(low: float, high: float, *, of_accepted: bool) -> float:
+        low, high = max(low, mean - _FAR * deviation), min(high, mean + _FAR * deviation)
+        if high <= low:
+            return 0.0
+        bends = [x for x in (mean, accepted_up_to, -accepted_up_to, limit, -limit) if low < x < high]
+        return float(
+            quad(
+                lambda x: density(x) * (accepted(x) if of_accepted else 1.0 - accepted(x)),
+                low, high, points=bends or None, limit=200, epsabs=1e-12,
+            )[0]
+        )  # fmt: skip
+
+    consumer = part(-math.inf, -limit, of_accepted=True) + part(limit, math.inf, of_accepted=True)
+    return GlobalRisk(consumer, part(-limit, limit, of_accepted=False))

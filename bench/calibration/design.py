@@ -1,0 +1,379 @@
+"""The forward model made linear about a point, for any estimator: unknowns, their priors, derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import CHANNELS, Floats, Ints
+from bench.calibration.known import KnownNoise, KnownStand
+from bench.model.block import Block
+from bench.model.conditions import Conditions
+from bench.model.effects import AppliedEffect, Parameter, Stage
+from bench.model.forward import ForwardModel
+from bench.model.geometry import STAND_ANGLES
+
+FIXED = 12
+"""The coefficients come first among the unknowns and have no prior."""
+
+UPPER = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])
+"""Places of the coefficients that are unknown where K is upper triangular by convention."""
+
+STEP_RAD = 1e-5
+"""Step of the central differences: their error and that of rounding are both about 1e-11 of a derivative."""
+
+WEAK = 10.0
+"""Prior of an effect's parameter whose size nobody stated, in plausible sizes: wide, so that data decide."""
+
+SYMBOLS: Mapping[str, str] = {
+    "axis_tilt": "alpha1",
+    "zero_offset": "alpha2",
+    "mounting_error": "alpha3",
+    "mounting_offset": "mounting_offset",
+    "mounting_roll": "alpha5",
+}
+"""The paper's symbols of the stand angles (alpha5 is the one that it leaves out)."""
+
+
+AFTER_FORCE: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
+"""Effects of these stages leave the specific force as it is."""
+MOST_KEPT: Final = 3
+
+
+@dataclass(frozen=True)
+class StandUnknown:
+    """A stand angle of one mounting, with mean and standard deviation of its prior, rad.
+
+    It is `measured` where a level showed it, else the bench file limits it.
+    """
+
+    mount: int
+    column: int
+    prior_u: float
+    prior_mean: float = 0.0
+    measured: bool = False
+
+
+@dataclass(frozen=True)
+class EffectUnknown:
+    """A parameter of an effect (of one channel, or of all), with its prior, SI, `stated` or merely weak."""
+
+    effect: int
+    parameter: str
+    channel: int | None
+    prior_mean: float
+    prior_u: float
+    stated: bool
+
+
+@dataclass(frozen=True)
+class FreeRows:
+    """Readings of which the modulus of the specific force alone is known, 1 g: `signal` (m, 3)."""
+
+    signal: Floats
+    conditions: Conditions
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """The model about a point: what it predicts (n, 3), its derivatives by all unknowns (n, 3, 12 + q).
+
+    `slope` (n, 3) is du/dphi, how a setting error of the head shows in the signals, unit/rad.
+    """
+
+    predicted: Floats
+    jacobian: Floats
+    slope: Floats
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The unknowns of a fit: 12 coefficients, then stand angles, then parameters of effects.
+
+    `free` are readings that join by the modulus alone; `upper` fixes K as upper triangular, which a fit to
+    free readings alone needs. `hang` (q, q) is the lower root of the correlation of the priors, None where each
+    stands by itself. `noise` is what is known of the sizes of the noise beside the readings, None where nothing is.
+    """
+
+    model: ForwardModel
+    conditions: Conditions
+    stand: tuple[StandUnknown, ...]
+    effects: tuple[EffectUnknown, ...]
+    free: FreeRows | None = None
+    upper: bool = False
+    hang: Floats | None = None
+    noise: KnownNoise | None = None
+
+    @property
+    def active(self) -> Ints:
+        """Places of the coefficients that are unknown."""
+        return UPPER if self.upper else np.arange(FIXED)
+
+    @property
+    def prior_mean(self) -> Floats:
+        """Prior means of the unknowns after the coefficients, shape (q,)."""
+        return np.array([*(s.prior_mean for s in self.stand), *(e.prior_mean for e in self.effects)])
+
+    @property
+    def prior_u(self) -> Floats:
+        """Prior standard deviations of the unknowns after the coefficients, shape (q,)."""
+        return np.array([*(s.prior_u for s in self.stand), *(e.prior_u for e in self.effects)])
+
+    @property
+    def prior_rows(self) -> Floats:
+        """What makes of unknowns over their prior u independent ones of unit u, shape (q, q)."""
+        q = len(self.stand) + len(self.effects)
+        return np.eye(q) if self.hang is None else np.asarray(np.linalg.solve(self.hang, np.eye(q)))
+
+    def pulls(self, others: Floats) -> Floats:
+        """Return how far unknowns (q,) are from their priors, in independent parts of unit u, shape (q,)."""
+        off = (others - self.prior_mean) / self.prior_u
+        return off if self.hang is None else np.asarray(np.linalg.solve(self.hang, off))
+
+    def by_prior(self, columns: Floats) -> Floats:
+        """Return derivatives (..., q) by unknowns as those by independent parts of unit u of their priors."""
+        scaled = columns * self.prior_u
+        return scaled if self.hang is None else np.asarray(scaled @ self.hang)
+
+    def names(self) -> list[str]:
+        """Names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]".
+
+        An effect of certain mountings has them at its end: "turn_on_shift.step[y][2]"; of one that is there
+        in several shapes, the shape stands behind: "axis_wobble.sine(harmonic 2)".
+        """
+        stand = [f"{SYMBOLS[STAND_ANGLES[s.column]]}[{self.conditions.mounts[s.mount]}]" for s in self.stand]
+        effects = []
+        for e in self.effects:
+            applied = self.model.effects[e.effect]
+            channel = "" if e.channel is None else f"[{CHANNELS[e.channel]}]"
+            mounts = f"[{'+'.join(applied.installations)}]" if applied.installations else ""
+            effects.append(f"{applied.effect.name}.{e.parameter}{channel}{mounts}")
+        shapes = [self.model.effects[e.effect].shapes_text() for e in self.effects]
+        named = zip(effects, shapes, strict=True)
+        return stand + [f"{name}({shape})" if effects.count(name) > 1 else name for name, shape in named]
+
+    def parameter(self, unknown: EffectUnknown) -> Parameter:
+        """Return the parameter of an effect that an unknown is."""
+        parameters = self.model.effects[unknown.effect].effect.parameters
+        return next(p for p in parameters if p.name == unknown.parameter)
+
+    def predict(self, block: Block, others: Floats, setting_rad: float = 0.0) -> Floats:
+        """Return the readings (n, 3) that the model predicts for these values of the unknowns."""
+        return self._model_at(others).readings(block, self.conditions, self.stand_matrix(others), setting_rad)
+
+    def stand_matrix(self, others: Floats) -> Floats:
+        """Return the stand angles (mounts, 5) in rad."""
+        matrix = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
+        for value, unknown in zip(others, self.stand, strict=False):
+            matrix[unknown.mount, unknown.column] = value
+        return matrix
+
+    def effects_at(self, others: Floats) -> tuple[AppliedEffect, ...]:
+        """Return the model's effects with these values of their parameters."""
+        values = [applied.complete_values() for applied in self.model.effects]
+        for value, unknown in zip(others[len(self.stand) :], self.effects, strict=True):
+            if unknown.channel is None:
+                values[unknown.effect][unknown.parameter] = np.float64(value) * np.ones(())
+            else:
+                changed = values[unknown.effect][unknown.parameter].copy()
+                changed[unknown.channel] = value
+                values[unknown.effect][unknown.parameter] = changed
+        return tuple(replace(a, values=v) for a, v in zip(self.model.effects, values, strict=True))
+
+    def slope(self, block: Block, others: Floats) -> Floats:
+        """Return du/dphi (n, 3): how a setting error of the head shows in the three signals, unit/rad."""
+        forward, back = (self.predict(block, others, step) for step in (STEP_RAD, -STEP_RAD))
+        return (forward - back) / (2 * STEP_RAD)
+
+    def jacobian(self, block: Block, others: Floats) -> Floats:
+        """Return the derivatives of the readings by all unknowns, shape (n, 3, 12 + q)."""
+        return self.linear(block, others).jacobian
+
+    def linear(self, block: Block, others: Floats) -> Linearisation:
+        """Return the model made linear about a point.
+
+        Central differences of the forward model itself, so that there is no second formula to keep in step;
+        exact for the coefficients, in which a model without effects is linear.
+        """
+        if not len(self.conditions):
+            nothing = np.zeros((0, 3))
+            return Linearisation(nothing, np.zeros((0, 3, FIXED + len(others))), nothing)
+        if self.model.effects:
+            return self._kept(block, others)
+        force, by_angle, by_stand = self.forces(block, others)
+        columns = np.zeros((len(force), 3, FIXED + len(others)))
+        columns[:, :, :FIXED] = coefficient_columns(force)
+        for j, unknown in enumerate(self.stand):
+            own = self.conditions.mount == unknown.mount
+            columns[own, :, FIXED + j] = by_stand[unknown.column][own] @ block.K.T
+        return Linearisation(block.output(force), columns, by_angle @ block.K.T)
+
+    def forces(self, block: Block, others: Floats) -> tuple[Floats, Floats, dict[int, Floats]]:
+        """Return specific forces (n, 3), their derivatives by the head's angle and by each stand angle in use.
+
+        The latter by the column of `STAND_ANGLES`, each in the mounting of the row. All steps go through the
+        forward model at once: every step is a set of mountings of its own.
+        """
+        n, used = len(self.conditions), self._columns
+        stand = self.stand_matrix(others)
+        stands = np.repeat(stand[None], 3 + 2 * len(used), axis=0)
+        for i, column in enumerate(used):
+            stands[3 + 2 * i, :, column] += STEP_RAD
+            stands[4 + 2 * i, :, column] -= STEP_RAD
+        setting = np.zeros((len(stands), n))
+        setting[1], setting[2] = STEP_RAD, -STEP_RAD
+        force = self.model.specific_force(
+            self._many_conditions, stands.reshape(-1, len(STAND_ANGLES)), block, setting.ravel()
+        ).reshape(len(stands), n, 3)
+        slopes = (force[1::2] - force[2::2]) / (2 * STEP_RAD)
+        return force[0], slopes[0], {column: slopes[1 + i] for i, column in enumerate(used)}
+
+    @cached_property
+    def _columns(self) -> tuple[int, ...]:
+        """The stand angles that are unknown in any mounting."""
+        return tuple(sorted({unknown.column for unknown in self.stand}))
+
+    @cached_property
+    def _many_conditions(self) -> Conditions:
+        """The conditions once for each step of the differences, with mountings of their own."""
+        return self.conditions.repeated(3 + 2 * len(self._columns))
+
+    @cached_property
+    def _last(self) -> dict[tuple[bytes, bytes], Linearisation]:
+        """The points about which the model was last made linear: fits begin and rest at the same ones."""
+        return {}
+
+    def _kept(self, block: Block, others: Floats) -> Linearisation:
+        point = block.vector.tobytes(), others.tobytes()
+        if point not in self._last:
+            self._last[point] = self._linear_with_effects(block, others)
+            if len(self._last) > MOST_KEPT:
+                del self._last[next(iter(self._last))]
+        return self._last[point]
+
+    def _linear_with_effects(self, block: Block, others: Floats) -> Linearisation:
+        columns = np.empty((len(self.conditions), 3, FIXED + len(others)))
+        shift = 1e-3 * float(np.max(np.abs(block.K)))
+        late = [applied.effect.stage in AFTER_FORCE for applied in self.model.effects]
+        here, stand = self._model_at(others), self.stand_matrix(others)
+        acting = here.specific_force(self.conditions, stand, block)
+        for j in range(FIXED):
+            step = np.zeros(FIXED)
+            step[j] = shift
+            force = acting if all(late) else None
+            up = self._read(here, Block.from_vector(block.vector + step), stand, force)
+            down = self._read(here, Block.from_vector(block.vector - step), stand, force)
+            columns[:, :, j] = (up - down) / (2 * shift)
+        for j in range(len(self.stand)):
+            step = self.other_step(j)
+            up, down = (
+                self._read(here, block, self.stand_matrix(at), None) for at in (others + step, others - step)
+            )
+            columns[:, :, FIXED + j] = (up - down) / (2 * step[j])
+        for j in range(len(self.stand), len(others)):
+            step = self.other_step(j)
+            force = acting if late[self.effects[j - len(self.stand)].effect] else None
+            up, down = (
+                self._read(self._model_at(at), block, stand, force) for at in (others + step, others - step)
+            )
+            columns[:, :, FIXED + j] = (up - down) / (2 * step[j])
+        return Linearisation(self._read(here, block, stand, acting), columns, self.slope(block, others))
+
+    def _model_at(self, others: Floats) -> ForwardModel:
+        """Return the model with these values of the unknowns."""
+        return replace(self.model, effects=self.effects_at(others)) if self.effects else self.model
+
+    def _read(self, model: ForwardModel, block: Block, stand: Floats, force: Floats | None) -> Floats:
+        """Return the readings (n, 3) of a model; for the specific `force` (n, 3) that acts, where it is known."""
+        if force is None:
+            return model.readings(block, self.conditions, stand)
+        return model.voltmeter_readings(model.output(force, self.conditions, block), self.conditions, block)
+
+    def other_step(self, j: int) -> Floats:
+        """Return the step (q,) of the differences by unknown `j` after the coefficients."""
+        step = np.zeros(len(self.stand) + len(self.effects))
+        step[j] = 1e-3 * self.prior_u[j] if j >= len(self.stand) else STEP_RAD
+        return step
+
+
+def coefficient_columns(force: Floats) -> Floats:
+    """Return the derivatives of U = K a + U0 by the 12 coefficients for forces (n, 3), shape (n, 3, 12)."""
+    columns = np.zeros((len(force), 3, FIXED))
+    for channel in range(3):
+        columns[:, channel, 3 * channel : 3 * channel + 3] = force
+        columns[:, channel, 9 + channel] = 1.0
+    return columns
+
+
+def make_problem(
+    model: ForwardModel,
+    conditions: Conditions,
+    stand_u: Mapping[str, float],
+    free: FreeRows | None = None,
+    known: KnownStand | None = None,
+) -> Problem:
+    """Set up the unknowns: a stand angle is one where its size is not zero, an effect's sizes all are.
+
+    Its shapes (`Parameter.is_shape`) are not: they stay as the model has them. What a level showed of a mounting
+    stands in place of the size that the bench file states.
+
+    `stand_u` are standard uncertainties by the names in `STAND_ANGLES`, rad, and of the noise where it is stated:
+    "setting_error" (rad) and "voltmeter_error" (in the unit of the signals). The prior of an effect's
+    parameter lies about the value in the model with the standard uncertainty stated there, which must come
+    from other readings than those to be fitted; where none (or zero) is stated, with `WEAK` times the
+    catalogue's plausible size. `known` is what other runs told of the stand's angles: it stands in place of
+    `stand_u`, where no level showed the angle, and what they told of the noise in place of what is stated.
+    """
+    levels = conditions.levels()
+    stand = tuple(
+        StandUnknown(mount, column, levels[mount, column][1], levels[mount, column][0], measured=True)
+        if (mount, column) in levels
+        else StandUnknown(mount, column, stand_u[name])
+        for mount in range(len(conditions.mounts))
+        for column, name in enumerate(STAND_ANGLES)
+        if stand_u.get(name, 0.0) > 0 or (mount, column) in levels
+    )
+    effects = [
+        unknown for index, applied in enumerate(model.effects) for unknown in _effect_unknowns(index, applied)
+    ]
+    noise = KnownNoise.of_bench(stand_u) if known is None or known.noise is None else known.noise
+    upper = len(conditions) == 0
+    problem = Problem(model, conditions, stand, tuple(effects), free, upper=upper, noise=noise)
+    return problem if known is None else _with_known(problem, known)
+
+
+def _with_known(problem: Problem, known: KnownStand) -> Problem:
+    """Return the problem with the priors of angles that no level showed as they are known."""
+    stand, mounts = problem.stand, problem.conditions.mounts
+    told = [j for j, unknown in enumerate(stand) if not unknown.measured]
+    if not told:
+        return problem
+    pairs = [(STAND_ANGLES[stand[j].column], mounts[stand[j].mount].installation) for j in told]
+    mean, covariance = known.prior(pairs, np.array([stand[j].prior_u for j in told]))
+    u = np.sqrt(np.diag(covariance))
+    changed = list(stand)
+    for j, m, size in zip(told, mean.tolist(), u.tolist(), strict=True):
+        changed[j] = replace(stand[j], prior_u=size, prior_mean=m)
+    correlation = np.eye(len(stand) + len(problem.effects))
+    correlation[np.ix_(told, told)] = covariance / np.outer(u, u)
+    return replace(problem, stand=tuple(changed), hang=np.asarray(np.linalg.cholesky(correlation)))
+
+
+def _effect_unknowns(index: int, applied: AppliedEffect) -> list[EffectUnknown]:
+    values = applied.complete_values()
+    unknowns = []
+    for p in applied.effect.parameters:
+        if p.is_shape:
+            continue
+        given = np.broadcast_to(applied.u.get(p.name, 0.0), values[p.name].shape)
+        rows = [CHANNELS.index(channel) for channel in applied.channels] if p.per_channel else [None]
+        for row in rows:
+            at = () if row is None else row
+            u = float(given[at])
+            mean = float(values[p.name][at])
+            unknowns.append(EffectUnknown(index, p.name, row, mean, u or WEAK * p.plausible, u > 0))
+    return unknowns

@@ -1,0 +1,51 @@
+"""The estimators, each once: what `calibrate`, `budget`, `require` and their help texts know of them.
+
+A further one is a module of this folder with an `ESTIMATOR`, and its name in `MODULES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Final
+
+from bench.calibration.estimator import Estimator
+from bench.calibration.result import CalibrationError
+
+GLS: Final = "gls"
+"""The name of the one that is used where none is asked for."""
+CLOSED_FORM: Final = "closed-form"
+ROBUST: Final = "robust"
+
+MODULES: Final = ("gls", "closed_form", "linear", "outliers")
+"""The modules that have an estimator, in the order in which they are told."""
+
+
+def _of(module: str) -> Estimator:
+    estimator: Estimator = import_module(f"bench.calibration.{module}").ESTIMATOR
+    return estimator
+
+
+ESTIMATORS: Final[Mapping[str, Estimator]] = {found.name: found for found in map(_of, MODULES)}
+
+
+def find_estimator(asked: str) -> Estimator:
+    """Return the estimator of a name. Raises `CalibrationError` for another."""
+    for estimator in ESTIMATORS.values():
+        if asked in {estimator.name, *estimator.also}:
+            return estimator
+    raise CalibrationError(f"no estimator {asked!r}; there are {', '.join(ESTIMATORS)}")
+
+
+def in_a_budget(asked: str) -> Estimator:
+    """Return the estimator whose linear map is that of the one asked for. Raises `CalibrationError`."""
+    estimator = find_estimator(asked)
+    return ESTIMATORS[estimator.counts_as or estimator.name]
+
+
+def estimators_in_words(*, budget: bool = False) -> str:
+    """Return the names and what they are as a help text; `budget` adds what some count as in a budget."""
+    phrases = [f"{' or '.join((e.name, *e.also))} ({e.phrase})" for e in ESTIMATORS.values()]
+    text = f"{', '.join(phrases[:-1])}, or {phrases[-1]}"
+    counted = [f"{e.name} counts as {e.counts_as}" for e in ESTIMATORS.values() if e.counts_as]
+    return f"{text}; where nothing is an outlier, {', '.join(counted)}." if budget and counted else f"{text}."

@@ -1,0 +1,171 @@
+"""Readings of which only the modulus is known: free positions, and verification points where they join.
+
+A reading U at rest gives |N(U - U0)| = 1 g whatever the orientation (paper (9)). Its row of the fit is
+1 - |a|, with the noise of the three signals seen through d|a|/dU.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import Floats
+from bench.calibration.design import FIXED, FreeRows, Problem
+from bench.calibration.mistakes import refuse_still
+from bench.calibration.result import CalibrationError, Noise, Triangular
+from bench.calibration.verification import modulus_slopes
+from bench.model.block import Block
+
+MOST_ROUNDS: Final = 50
+STANDS_STILL_G: Final = 1e-14
+LEAST_POSITIONS: Final = 10
+"""Nine unknowns, and one position more to tell the noise."""
+LEAST_PART: Final = 1e-3
+"""Positions do not determine what they show by less than this part of what they show best."""
+PRODUCTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz", "x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Modulus:
+    """Rows of the modulus, in g, about a point.
+
+    `left` (m,) is 1 - |a|, `jacobian` (m, 12 + q) d|a| by the unknowns, `by_signal` (m, 3) d|a|/dU, g/unit.
+    """
+
+    left: Floats
+    jacobian: Floats
+    by_signal: Floats
+
+    def noise(self, sizes: Noise) -> Floats:
+        """Return the noise of each row, g, shape (m,)."""
+        return np.asarray(np.linalg.norm(self.by_signal * sizes.by_channel, axis=1))
+
+
+NO_MODULI: Final = Modulus(np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3)))
+
+
+def modulus_rows(problem: Problem, block: Block, others: Floats) -> Modulus:
+    """Return the rows of the problem's free readings about a point."""
+    if problem.free is None:
+        return Modulus(np.zeros(0), np.zeros((0, FIXED + len(others))), np.zeros((0, 3)))
+    force = _force(problem, problem.free, block, others)
+    columns = np.zeros((len(force), FIXED + len(others)))
+    columns[:, :FIXED], by_signal = modulus_slopes(force, block)
+    if problem.model.effects:
+        _differences(problem, block, others, columns)
+    return Modulus(1.0 - np.linalg.norm(force, axis=1), columns, by_signal)
+
+
+def _differences(problem: Problem, block: Block, others: Floats, columns: Floats) -> None:
+    """Fill in the derivatives of |a| by central differences; the stand's angles turn a, no more."""
+    step = 1e-4 * float(np.max(np.abs(block.K)))
+
+    def size(vector: Floats, values: Floats) -> Floats:
+        at = Block.from_vector(vector)
+        return np.asarray(np.linalg.norm(_force(problem, problem.free, at, values), axis=1))
+
+    for j in range(FIXED):
+        change = step * np.eye(FIXED)[j]
+        up, down = size(block.vector + change, others), size(block.vector - change, others)
+        columns[:, j] = (up - down) / (2 * step)
+    for j in range(len(problem.stand), len(others)):
+        change = problem.other_step(j)
+        up, down = size(block.vector, others + change), size(block.vector, others - change)
+        columns[:, FIXED + j] = (up - down) / (2 * change[j])
+
+
+def _force(problem: Problem, free: FreeRows | None, block: Block, others: Floats) -> Floats:
+    """Return the specific force (m, 3) of free readings: the model's chain from force to reading, inverted.
+
+    Raises `CalibrationError` where an effect needs what these readings lack.
+    """
+    assert free is not None  # noqa: S101 - the callers have it
+    force = block.specific_force(free.signal)
+    if not problem.model.effects:
+        return force
+    model = replace(problem.model, effects=problem.effects_at(others))
+    for _ in range(MOST_ROUNDS):
+        left = free.signal - model.readings_at(force, free.conditions, block)
+        step = np.linalg.solve(block.K, left.T).T
+        force = force + step
+        if not np.all(np.isfinite(force)):
+            raise CalibrationError(
+                f"model {problem.model.name}: an effect in it needs what free positions lack (a head angle, a "
+                "time or a temperature); leave them out with --no-join-free"
+            )
+        if np.max(np.abs(step)) < STANDS_STILL_G:
+            break
+    return force
+
+
+# --- free positions alone ---------------------------------------------------------------------------
+
+
+def first_guess_free(signal: Floats) -> Block:
+    """Return a block with upper triangular K from signals (m, 3) of free positions alone.
+
+    The ellipsoid (U - b)^T A (U - b) = 1 by linear least squares, A = N^T N with N upper triangular.
+    Raises `CalibrationError` where the positions do not determine the nine coefficients.
+    """
+    if len(signal) < LEAST_POSITIONS:
+        raise CalibrationError(
+            f"{len(signal)} free positions are too few for a calibration without orientations: it has nine "
+            f"coefficients; measure {LEAST_POSITIONS} or more, all round"
+        )
+    middle = (signal.max(axis=0) + signal.min(axis=0)) / 2
+    size = np.ptp(signal, axis=0) / 2
+    refuse_still(signal)
+    x, y, z = ((signal - middle) / size).T
+    columns = np.column_stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, x, y, z])
+    _, found, directions = np.linalg.svd(columns, full_matrices=False)
+    if found[-1] < LEAST_PART * found[0]:
+        part = np.abs(directions[-1])
+        untold = [name for name, p in zip(PRODUCTS, part, strict=True) if p > 0.3 * part.max()]
+        raise CalibrationError(
+            f"{len(signal)} free positions do not determine the nine coefficients: they hardly tell "
+            f"{', '.join(untold)} of the ellipsoid of signals; add positions with two and three axes "
+            "inclined, up and down"
+        )
+    q, *_ = np.linalg.lstsq(columns, np.ones(len(signal)), rcond=None)
+    matrix = np.array([[q[0], q[3], q[4]], [q[3], q[1], q[5]], [q[4], q[5], q[2]]])
+    return _block_of_ellipsoid(matrix, q[6:], middle, size)
+
+
+def _block_of_ellipsoid(matrix: Floats, linear: Floats, middle: Floats, size: Floats) -> Block:
+    """Return the block whose unit sphere is the ellipsoid v^T matrix v + linear v = 1, v = (U - middle)/size."""
+    centre = -np.linalg.solve(matrix, linear) / 2
+    shape = matrix / (1 + centre @ matrix @ centre)
+    if np.min(np.linalg.eigvalsh(shape)) <= 0:
+        raise CalibrationError(
+            "the free positions do not lie on an ellipsoid, as readings at rest of |a| = 1 g must; are there "
+            "readings in motion among them, or too few directions?"
+        )
+    upper: Floats = np.linalg.cholesky(shape).T / size
+    return Block(np.asarray(np.linalg.inv(upper), dtype=np.float64), middle + centre * size)
+
+
+def triangular(block: Block, covariance: Floats, g_m_s2: float) -> Triangular:
+    """Return a block with upper triangular K and its covariance (12, 12) in the form a = T S (U - b).
+
+    Source: Tedaldi, Pretto, Menegatti (ICRA 2014), equation (10), whose convention imu_tk keeps.
+    """
+    inverse = np.linalg.inv(block.K)
+    scale = np.diag(inverse)
+    skew = inverse / scale
+    # dN = -N dK N for each element of K
+    change = -np.einsum("ai,jb->ijab", inverse, inverse).reshape(9, 3, 3)
+    by_scale = change[:, np.arange(3), np.arange(3)]
+    by_skew = (change - skew * by_scale[:, None, :]) / scale
+    own = covariance[:9, :9]
+    u_scale = np.sqrt(np.einsum("pi,pq,qi->i", by_scale, own, by_scale))
+    u_skew = np.sqrt(np.einsum("pij,pq,qij->ij", by_skew, own, by_skew).clip(0.0))
+    return Triangular(
+        bias=block.U0,
+        scale=g_m_s2 * scale,
+        T=skew,
+        u_bias=np.sqrt(np.diag(covariance)[9:]),
+        u_scale=g_m_s2 * u_scale,
+        u_skew=np.triu(u_skew, 1),
+    )

@@ -1,0 +1,417 @@
+"""Generalised least squares on all readings, the stand's errors as random effects.
+
+The setting error is common to the three channels of a point; axis tilt, zero offset and mounting error are
+common to a mounting and have the sizes that the bench file states. The exact forward model is made linear
+about the current estimate until it stands still (maximum a posteriori; for these small angles its
+covariance is that of generalised least squares).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy import linalg, special
+
+from bench.base.arrays import Floats, Ints, rms
+from bench.calibration.design import FIXED, FreeRows, Problem
+from bench.calibration.estimator import Estimator
+from bench.calibration.free import NO_MODULI, Modulus, modulus_rows
+from bench.calibration.noise import (
+    LEAST_REPEATS,
+    RepeatedNoise,
+    Residuals,
+    noise_from_repeats,
+    noise_from_residuals,
+    repeat_groups,
+    scatter_of_repeats,
+    whiten,
+    whiten_back,
+)
+from bench.calibration.result import CalibrationError, LackOfFit, Noise, widening
+from bench.model.block import COEFFICIENTS, Block
+
+MOST_ITERATIONS: Final = 20
+STANDS_STILL: Final = 5e-3
+"""The fit has converged when no unknown moves by more than this part of its standard uncertainty.
+
+What is left then is smaller by the curvature of the model, about 1e-5, once more.
+"""
+NEARLY_STILL: Final = 1e-2
+"""Below this part the sizes of the noise are no longer estimated anew: they would not change."""
+ESTIMATIONS: Final = 8
+"""So many steps estimate the sizes of the noise: they may go to and fro between two maxima of their likelihood."""
+FAR_FROM_STILL: Final = 0.1
+"""After the last iteration a point that still moves by more is no estimate."""
+LEAST_NOISE: Final = 1e-11
+"""Least noise believed, as a part of the largest signal: keeps noise-free data solvable."""
+
+
+@dataclass(frozen=True)
+class Shift:
+    """One signal of a reading that is off by an amount of its own, which takes its weight away.
+
+    `channel` 0, 1, 2 is that of row `row` of the oriented readings, `SETTING` its setting of the head, which
+    moves all three along du/dphi; `MODULUS` is the modulus of free reading `row`.
+    """
+
+    row: int
+    channel: int
+
+
+SETTING: Final = 3
+MODULUS: Final = 4
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Estimates of all unknowns of a problem and their joint covariance (12 + q, 12 + q).
+
+    `noise` is as estimated, the covariance has it widened. `gain` (12 + q, n, 3) is the linear map from
+    oriented readings to unknowns, `free_gain` (12 + q, m, 3) that from free ones; `misfit` the
+    chi-square left, the priors' part included; `residuals` (n, 3)
+    in the unit of the signal, `modulus` (m,) |a| - 1 of the free readings in g; what is shifted stays in both.
+    `shift` and `u_shift` (k,) are the estimates of `shifts`, with u from the noise as it is; `system` is that
+    of the last point.
+    """
+
+    block: Block
+    others: Floats
+    covariance: Floats
+    gain: Floats
+    free_gain: Floats
+    noise: Noise
+    misfit: float
+    residuals: Floats
+    slope: Floats
+    modulus: Floats
+    shifts: tuple[Shift, ...]
+    shift: Floats
+    u_shift: Floats
+    system: System
+
+
+def fit(
+    problem: Problem,
+    signal: Floats,
+    start: Block,
+    noise: Noise | None = None,
+    resolution: float = 0.0,
+    shifts: tuple[Shift, ...] = (),
+    *,
+    one_size: bool = False,
+) -> Fit:
+    """Fit the problem to readings `signal` (n, 3) from a first guess; noise sizes not given are estimated.
+
+    Noise is never believed below that of rounding to `resolution`, a rectangular distribution of that width.
+    Each of `shifts` is an unknown more, of which nothing is known before. With `one_size` the channels have noise
+    of one size, without each its own where they differ. Raises `CalibrationError` where the fit does not converge.
+    """
+    block, others = start, problem.prior_mean
+    floor = noise_floor(signal, resolution, problem.free)
+    groups = _groups_without(problem, shifts)
+    places = _places(problem, len(shifts), len(others))
+    moved, repeats = np.inf, RepeatedNoise(floor, groups, one_size=one_size)
+    for iteration in range(MOST_ITERATIONS):
+        system = linearise(problem, signal, block, others, shifts)
+        if noise is not None:
+            sizes = noise
+        elif moved > NEARLY_STILL and iteration < ESTIMATIONS:
+            of_repeats = repeats.sizes(system.left, system.slope)
+            if of_repeats is None:
+                sizes = estimate_noise(problem, system, groups, others, floor)
+            else:
+                sizes = of_repeats if problem.noise is None else problem.noise.joined(of_repeats)
+        own = solve(problem, system, sizes.widened(), others)
+        step = np.zeros(FIXED + len(others))
+        step[places.unknowns] = own.step[places.own]
+        block = Block.from_vector(block.vector + step[:FIXED])
+        others = others + step[FIXED:]
+        # a shift enters no derivative, so it has no part in whether the point stands still
+        steps = np.abs(own.step[places.own]) / np.sqrt(np.diag(own.covariance)[places.own])
+        moved = float(np.max(steps))
+        if moved <= STANDS_STILL:
+            break
+    else:
+        if not moved < FAR_FROM_STILL:
+            raise _not_converged(problem, system, int(places.unknowns[np.argmax(steps)]), moved)
+    gain = own.gain(system, sizes.widened())
+    return _result(problem, system, block, others, sizes, places, own.step, own.covariance, gain, shifts)
+
+
+def _not_converged(problem: Problem, system: System, unknown: int, moved: float) -> CalibrationError:
+    """Say that a fit did not converge, what still moved, and what it leaves."""
+    names = (*COEFFICIENTS, *problem.names())
+    left = rms(system.left) if len(system.left) else rms(system.free.left)
+    unit = "" if len(system.left) else " g"
+    return CalibrationError(
+        f"the fit did not converge: after {MOST_ITERATIONS} steps {names[unknown]} still moves by {moved:.2g} of "
+        f"its standard uncertainty, and the model leaves {left:.2g}{unit} of the readings (root mean square); look "
+        "for rows of another installation, another block or another unit, and for an effect that they do not "
+        "determine"
+    )
+
+
+@dataclass(frozen=True)
+class System:
+    """The linear system of one step: unknowns are the active coefficients, the shifts, then the others.
+
+    `left` (n, 3) measured minus predicted; `jacobian` (n, 3, p) has the unknowns with a prior last; `slope`
+    (n, 3); `free` the rows of moduli.
+    """
+
+    left: Floats
+    jacobian: Floats
+    slope: Floats
+    free: Modulus = NO_MODULI
+
+
+def linearise(
+    problem: Problem, signal: Floats, block: Block, others: Floats, shifts: tuple[Shift, ...] = ()
+) -> System:
+    """Return the linear system about a point."""
+    linear = problem.linear(block, others)
+    free = modulus_rows(problem, block, others)
+    jacobian, by_free = linear.jacobian, free.jacobian
+    if problem.upper:
+        kept = np.concatenate([problem.active, np.arange(FIXED, FIXED + len(others))])
+        jacobian, by_free = jacobian[:, :, kept], by_free[:, kept]
+    if shifts:
+        at = len(problem.active)
+        own, own_free = np.zeros((*signal.shape, len(shifts))), np.zeros((len(by_free), len(shifts)))
+        for j, shift in enumerate(shifts):
+            if shift.channel == MODULUS:
+                own_free[shift.row, j] = 1.0
+            elif shift.channel == SETTING:
+                own[shift.row, :, j] = linear.slope[shift.row]
+            else:
+                own[shift.row, shift.channel, j] = 1.0
+        jacobian = np.concatenate([jacobian[:, :, :at], own, jacobian[:, :, at:]], axis=2)
+        by_free = np.concatenate([by_free[:, :at], own_free, by_free[:, at:]], axis=1)
+    return System(signal - linear.predicted, jacobian, linear.slope, replace(free, jacobian=by_free))
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Where the unknowns of a step stand: `unknowns` among all 12 + q, `own` and `shifts` in the step."""
+
+    unknowns: Ints
+    own: Ints
+    shifts: Ints
+
+
+def _places(problem: Problem, shifts: int, others: int) -> _Places:
+    active = len(problem.active)
+    own = np.concatenate([np.arange(active), np.arange(active + shifts, active + shifts + others)])
+    unknowns = np.concatenate([problem.active, np.arange(FIXED, FIXED + others)])
+    return _Places(unknowns, own, np.arange(active, active + shifts))
+
+
+def finish(problem: Problem, fit: Fit, covariance: Floats, noise: Noise) -> Fit:
+    """Take the last step of a fit once more, with a covariance (3n + m, 3n + m) of all its readings.
+
+    `noise` are the sizes that go with it. The step is linear: the point of the fit is the one at which it rests.
+    """
+    system, others = fit.system, fit.others
+    places = _places(problem, len(fit.shifts), len(others))
+    n, p = len(system.left), system.jacobian.shape[2]
+    rows = np.concatenate([system.jacobian.reshape(3 * n, p), system.free.jacobian])
+    target = np.concatenate([system.left.ravel(), system.free.left])
+    lower = np.linalg.cholesky(covariance)
+    whitened = linalg.solve_triangular(lower, np.column_stack([rows, target]), lower=True)
+    scale = np.concatenate([np.ones(p - len(others)), problem.prior_u])
+    prior = np.zeros((len(others), p + 1))
+    prior[:, p - len(others) : p] = problem.prior_rows
+    prior[:, p] = -problem.pulls(others)
+    scaled = np.concatenate([whitened[:, :p] * scale, prior[:, :p]])
+    q, r = np.linalg.qr(scaled)
+    inverse = np.linalg.solve(r, np.eye(p)) * scale[:, None]
+    found = inverse @ (q.T @ np.concatenate([whitened[:, p], prior[:, p]]))
+    back = linalg.solve_triangular(lower, q[: len(target)], lower=True, trans="T")
+    gain = inverse @ back.T
+    step = np.zeros(FIXED + len(others))
+    step[places.unknowns] = found[places.own]
+    block = Block.from_vector(fit.block.vector + step[:FIXED])
+    further = others + step[FIXED:]
+    return _result(
+        problem, system, block, further, noise, places, found, inverse @ inverse.T, gain, fit.shifts
+    )
+
+
+def noise_floor(signal: Floats, resolution: float, free: FreeRows | None = None) -> float:
+    """Return the least noise that is believed for signals (n, 3) given to `resolution`, in their unit."""
+    largest = float(np.max(np.abs(signal), initial=0.0))
+    if free is not None:
+        largest = max(largest, float(np.max(np.abs(free.signal), initial=0.0)))
+    return float(max(LEAST_NOISE * largest, resolution / np.sqrt(12.0)))
+
+
+def _groups_without(problem: Problem, shifts: tuple[Shift, ...]) -> Ints:
+    """Number the groups of repeats; a reading with a shift stands alone and tells nothing of the scatter."""
+    if not len(problem.conditions):
+        return np.zeros(0, dtype=np.int64)
+    groups = repeat_groups(problem.conditions)
+    rows = sorted({shift.row for shift in shifts if shift.channel != MODULUS})
+    if rows:
+        groups[rows] = len(groups) + np.arange(len(rows))
+        groups = np.unique(groups, return_inverse=True)[1]
+    return groups
+
+
+def _result(
+    problem: Problem, system: System, block: Block, others: Floats, sizes: Noise, places: _Places,
+    found: Floats, covariance: Floats, gain: Floats, shifts: tuple[Shift, ...],
+) -> Fit:  # fmt: skip
+    """Make the fit out of its last step, which was so small that what it leaves is linear in it.
+
+    The misfit leaves out what is shifted.
+    """
+    free = system.free
+    own = system.jacobian[:, :, places.own] @ found[places.own]
+    own_free = free.jacobian[:, places.own] @ found[places.own]
+    system = replace(system, left=system.left - own, free=replace(free, left=free.left - own_free))
+    n = len(system.left)
+    shift = found[places.shifts]
+    kept = system.left - system.jacobian[:, :, places.shifts] @ shift
+    kept_free = system.free.left - system.free.jacobian[:, places.shifts] @ shift
+    whitened = whiten(kept[:, :, None], system.slope, sizes)
+    misfit = np.sum(whitened**2) + np.sum(problem.pulls(others) ** 2)
+    misfit += np.sum((kept_free / system.free.noise(sizes)) ** 2)
+    whole, whole_gain = np.zeros((FIXED + len(others),) * 2), np.zeros((FIXED + len(others), gain.shape[1]))
+    whole[np.ix_(places.unknowns, places.unknowns)] = covariance[np.ix_(places.own, places.own)]
+    whole_gain[places.unknowns] = gain[places.own]
+    by_row = whole_gain[:, : 3 * n].reshape(len(whole), n, 3)
+    # the row of a free reading is 1 - |a|, so that a signal enters with the sign turned
+    by_free = -whole_gain[:, 3 * n :, None] * system.free.by_signal
+    as_it_is = 1.0 / widening(sizes.reading_dof)
+    u_shift = as_it_is * np.sqrt(np.diag(covariance)[places.shifts])
+    return Fit(
+        block, others, whole, by_row, by_free, sizes, float(misfit), system.left, system.slope,
+        -system.free.left, shifts, shift, u_shift, system,
+    )  # fmt: skip
+
+
+def estimate_noise(problem: Problem, system: System, groups: Ints, others: Floats, floor: float) -> Noise:
+    """Estimate the sizes of the noise from repeats within `groups`, or where those are few from all residuals.
+
+    What the problem knows of the sizes counts beside the latter.
+    """
+    left, slope, free, known = system.left, system.slope, system.free, problem.noise
+    if len(left):
+        scatter = scatter_of_repeats(left, slope, groups)
+        if scatter.settings >= LEAST_REPEATS:
+            return noise_from_repeats(scatter, floor)
+    # the likelihood has the random effects about their prior means, so their estimates are not taken off
+    fixed = system.jacobian.shape[2] - len(others)
+    off = others - problem.prior_mean
+    whole = left + system.jacobian[:, :, fixed:] @ off
+    columns = np.concatenate([system.jacobian, whole[:, :, None]], axis=2)
+    moduli = np.zeros((0, columns.shape[2]))
+    if len(free.left):
+        moduli = np.column_stack([free.jacobian, free.left + free.jacobian[:, fixed:] @ off])
+    for of in (columns, moduli):
+        of[..., fixed:-1] = problem.by_prior(of[..., fixed:-1])
+    # so few residuals tell one size: of channels that other runs found unlike, each in its ratio
+    ratio = np.ones(3) if known is None else known.channels / rms(known.channels)
+    moduli = moduli / np.linalg.norm(free.by_signal * ratio, axis=1)[:, None]
+    found = noise_from_residuals(
+        Residuals(columns / ratio[:, None], slope / ratio, moduli, fixed), floor, known
+    )
+    if np.ptp(ratio) == 0.0:
+        return found
+    x, y, z = (found.reading * ratio).tolist()
+    return replace(found, channels=(x, y, z), channel_dof=(found.reading_dof,) * 3)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """One step of the fit: the change of the unknowns (p,), their covariance (p, p), and what its gain is made of.
+
+    `inverse` (p, p) and `q` (3n + m + priors, p): the unknowns are inverse q^T times the whitened rows.
+    """
+
+    step: Floats
+    covariance: Floats
+    inverse: Floats
+    q: Floats
+
+    def gain(self, system: System, noise: Noise) -> Floats:
+        """Return the linear map from rows to unknowns, (p, 3n + m)."""
+        n, _, p = system.jacobian.shape
+        whitened = (self.inverse @ self.q[: 3 * n].T).reshape(p, n, 3)
+        gain = np.moveaxis(whiten_back(np.moveaxis(whitened, 0, 2), system.slope, noise), 2, 0)
+        m = len(system.free.left)
+        of_free = self.inverse @ self.q[3 * n : 3 * n + m].T / system.free.noise(noise)
+        return np.concatenate([gain.reshape(p, 3 * n), of_free], axis=1)
+
+
+def solve(problem: Problem, system: System, noise: Noise, others: Floats) -> Solution:
+    """Take one step of the fit, for noise of these sizes."""
+    rows, target, scale = whitened_rows(problem, system, noise, others)
+    q, r = np.linalg.qr(rows)
+    inverse = np.linalg.solve(r, np.eye(len(r))) * scale[:, None]
+    return Solution(inverse @ (q.T @ target), inverse @ inverse.T, inverse, q)
+
+
+def whitened_rows(
+    problem: Problem, system: System, noise: Noise, others: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return rows (3n + m + q, p), target and scale (p,) of a step: signals, moduli, priors, each of unit noise.
+
+    Column j is that of unknown j over its scale.
+    """
+    n, _, p = system.jacobian.shape
+    free = system.free
+    prior_u = problem.prior_u
+    fixed = p - len(prior_u)
+    scale = np.concatenate([np.ones(fixed), prior_u])
+    prior_rows = np.zeros((p - fixed, p))
+    prior_rows[:, fixed:] = problem.prior_rows
+    columns = np.concatenate([system.jacobian, system.left[:, :, None]], axis=2)
+    both = whiten(columns, system.slope, noise).reshape(3 * n, p + 1)
+    blocks, targets = [both[:, :p] * scale], [both[:, p]]
+    if len(free.left):
+        size = free.noise(noise)
+        blocks.append(free.jacobian * scale / size[:, None])
+        targets.append(free.left / size)
+    blocks.append(prior_rows)
+    targets.append(-problem.pulls(others))
+    return np.vstack(blocks), np.concatenate(targets), scale
+
+
+def lack_of_fit(problem: Problem, result: Fit) -> LackOfFit:
+    """Compare what the model leaves with the scatter of repeats (F test), or with noise that was given."""
+    # a stated prior adds as much to the misfit as its unknown takes away; a weak one adds nothing
+    unknowns = len(problem.active) + len(result.shifts) + sum(not e.stated for e in problem.effects)
+    unknowns -= len(result.modulus)
+    groups = _groups_without(problem, result.shifts)
+    return misfit_test(result.misfit, result.residuals, result.slope, result.noise, groups, unknowns)
+
+
+def misfit_test(
+    misfit: float, residuals: Floats, slope: Floats, noise: Noise, groups: Ints, unknowns: int
+) -> LackOfFit:
+    """Judge the chi-square that a fit leaves; `unknowns` counts those without a prior of their own.
+
+    `residuals`, `slope` (n, 3) and `groups` (n,) of repeats as in `scatter_of_repeats`.
+    """
+    size = rms(residuals)
+    dof = residuals.size - unknowns
+    if np.isinf(noise.dof):
+        return LackOfFit(size, misfit, dof, float(special.chdtrc(dof, misfit)))
+    if not residuals.size:
+        return LackOfFit(size, float("nan"), max(dof, 0), float("nan"))
+    scatter = scatter_of_repeats(residuals, slope, groups)
+    dof -= 3 * scatter.settings
+    if noise.source != "repeats" or dof <= 0:
+        return LackOfFit(size, float("nan"), max(dof, 0), float("nan"))
+    across = np.diag(noise.by_channel**2)
+    own = across + noise.setting_rad**2 * scatter.slope[:, :, None] * scatter.slope[:, None, :]
+    pure_error = float(np.einsum("gij,gji->", np.linalg.inv(own), scatter.matrix))
+    chi2 = max(misfit - pure_error, 0.0)
+    # the scatter over its own freedom is 1 by construction: the noise was estimated from it
+    return LackOfFit(size, chi2, dof, float(special.fdtrc(dof, noise.dof, chi2 / dof)))
+
+
+ESTIMATOR: Final = Estimator("gls", "all readings, weighed")

@@ -1,0 +1,61 @@
+"""Estimators that are a fixed weighting of the readings: the paper's (8), and ordinary least squares."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import Floats
+from bench.calibration import gls
+from bench.calibration.design import FIXED, Problem, coefficient_columns
+from bench.calibration.estimator import Estimator
+from bench.model.block import Block
+
+
+def least_squares_gain(problem: Problem) -> Floats:
+    """Return the map (12, n, 3) of ordinary least squares at stand angles of zero, every reading alike."""
+    still = problem.stand_matrix(np.zeros(0))
+    unit = Block(np.eye(3), np.zeros(3))
+    plain = replace(problem.model, effects=())
+    columns = coefficient_columns(plain.specific_force(problem.conditions, still, unit))
+    inverse = np.linalg.pinv(columns.reshape(-1, FIXED))
+    return np.asarray(inverse, dtype=np.float64).reshape(FIXED, len(columns), 3)
+
+
+def linear_estimate(
+    problem: Problem, signal: Floats, fit: gls.Fit, gain: Floats, shared: Floats | None = None
+) -> gls.Fit:
+    """Return the estimate by a gain (12, n, 3), with the covariance that the errors of the bench give to it.
+
+    `fit` is that of generalised least squares on the same readings: it has the noise, and the point at which
+    effects of the model are taken off at their stated values, and the stand's angles as a level showed them.
+    `shared` (3n, 3n) is the covariance of the readings where it is not that of the noise alone. The misfit stays
+    that of `fit`: a fixed weighting leaves the stand's angles in its residuals, where they would pass for a lack
+    of fit of the model.
+    """
+    others = problem.prior_mean
+    taken_off = np.zeros_like(signal)
+    if np.any(others):
+        plain = replace(problem, model=replace(problem.model, effects=()), effects=())
+        still = np.zeros(len(problem.stand))
+        taken_off = problem.predict(fit.block, others) - plain.predict(fit.block, still)
+    block = Block.from_vector(np.einsum("pni,ni->p", gain, signal - taken_off))
+    noise, slope = fit.noise.widened(), fit.slope
+    # G R G^T from R = sigma_u^2 I + sigma_phi^2 d d^T of each reading, then the stand's angles
+    along = np.einsum("pni,ni->pn", gain, slope) * noise.setting_rad
+    flat = (gain * noise.by_channel).reshape(FIXED, -1)
+    of_noise = flat @ flat.T + along @ along.T
+    if shared is not None:
+        of_noise = gain.reshape(FIXED, -1) @ shared @ gain.reshape(FIXED, -1).T
+    columns = problem.by_prior(problem.jacobian(block, others)[:, :, FIXED:])
+    fixed = np.einsum("pni,niq->pq", gain, columns)
+    covariance = of_noise + fixed @ fixed.T
+    residuals = signal - problem.predict(block, others)
+    return replace(fit, block=block, others=others, covariance=covariance, gain=gain, residuals=residuals)
+
+
+ESTIMATOR: Final = Estimator(
+    "least-squares", "all readings alike", gain=lambda problem, _: least_squares_gain(problem), also=("ols",)
+)

@@ -1,0 +1,320 @@
+"""How large the noise really is: estimated from repeats, not believed.
+
+A reading is the model plus a setting error common to its three channels, which acts along
+d = du/dphi, plus noise fresh in each channel and of a size of its own there: its covariance is
+diag(sigma_x^2, sigma_y^2, sigma_z^2) + sigma_phi^2 d d^T. The sizes are those of the restricted likelihood.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from scipy import special
+
+from bench.base.arrays import Floats, Ints, least_squares, rms, unit_vectors
+from bench.calibration.known import CONTRADICTS_P, LEAST_SIGNALS, KnownNoise
+from bench.calibration.result import CalibrationError, Noise, NoisePrior
+from bench.model.conditions import Conditions
+from bench.stats.repeats_likelihood import LEAST_DOF, believed_sizes
+
+LEAST_REPEATS: Final = 12
+"""Repeats (readings less groups) below which their scatter is too poor a guide."""
+
+
+SAME_SCATTER: Final = 1e-3
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Scatter within groups of repeats.
+
+    `matrix` (groups, 3, 3) is the sum of d d^T over the deviations of a group from its mean, unit^2; `freedom`
+    (groups,) readings less one, `slope` (groups, 3) the mean of du/dphi, unit/rad.
+    """
+
+    matrix: Floats
+    freedom: Ints
+    slope: Floats
+
+    @property
+    def settings(self) -> int:
+        """Repeats in all, in settings of the head (each has three signals)."""
+        return int(self.freedom.sum())
+
+    def is_close_to(self, other: Scatter) -> bool:
+        """Whether another scatter of the same groups would give the same sizes, to a part in a thousand."""
+        return all(
+            float(np.abs(a - b).sum()) <= SAME_SCATTER * float(np.abs(b).sum())
+            for a, b in ((self.matrix, other.matrix), (self.slope, other.slope))
+        )
+
+
+def repeat_groups(conditions: Conditions) -> Ints:
+    """Return a group number per reading, shape (n,): same mounting, point and direction of approach."""
+    points = int(conditions.point.max(initial=0)) + 1
+    key = (conditions.mount * points + conditions.point) * 3 + conditions.direction
+    return np.asarray(np.unique(key, return_inverse=True)[1])
+
+
+def scatter_of_repeats(residuals: Floats, slope: Floats, groups: Ints) -> Scatter:
+    """Return the scatter of residuals (n, 3) about their group's mean; `slope` (n, 3) is d = du/dphi.
+
+    Residuals, not readings: the angle read back differs a little from repeat to repeat.
+    """
+    count = np.bincount(groups)
+    deviation = residuals - (_group_sum(residuals, groups) / count[:, None])[groups]
+    products = (deviation[:, :, None] * deviation[:, None, :]).reshape(-1, 9)
+    repeated = count > 1
+    return Scatter(
+        matrix=_group_sum(products, groups)[repeated].reshape(-1, 3, 3),
+        freedom=(count - 1)[repeated],
+        slope=(_group_sum(slope, groups) / count[:, None])[repeated],
+    )
+
+
+def _group_sum(values: Floats, groups: Ints) -> Floats:
+    return np.stack([np.bincount(groups, column).astype(np.float64) for column in values.T], axis=1)
+
+
+def noise_from_repeats(scatter: Scatter, floor: float, *, one_size: bool = False) -> Noise:
+    """Restricted maximum likelihood of the sizes of the noise from repeats, of each channel its own if they differ.
+
+    `floor` (unit of the signal) is the least noise that is believed: the last digit of a reply.
+    """
+    found = believed_sizes(
+        scatter.matrix[None], scatter.freedom, scatter.slope[None], floor, one_size=one_size
+    )
+    channels, setting = np.sqrt(found.variances[0, :3]), float(np.sqrt(found.variances[0, 3]))
+    slope2 = float(np.mean(np.sum(scatter.slope**2, axis=1)))
+    reading = rms(channels)
+    noise = Noise(
+        reading,
+        setting,
+        3.0 * scatter.settings,
+        "repeats",
+        setting_limits(reading, setting, slope2, scatter.settings),
+        p_equal=float(found.p_equal[0]),
+    )
+    if found.alike[0]:
+        return noise
+    return replace(noise, channels=_three(channels), channel_dof=_three(found.dof[0]))
+
+
+def _three(values: Floats) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+class RepeatedNoise:
+    """Noise from repeats in a fit that goes on: estimated anew only where their scatter has changed.
+
+    Deviations of a repeat from its group hardly depend on the point of the fit, for the angles read back are
+    nearly alike.
+    """
+
+    def __init__(self, floor: float, groups: Ints, *, one_size: bool = False) -> None:
+        self._floor = floor
+        self._one_size = one_size
+        self._groups = groups
+        self._known: tuple[Scatter, Noise] | None = None
+
+    def sizes(self, residuals: Floats, slope: Floats) -> Noise | None:
+        """Return the sizes for residuals (n, 3) and du/dphi (n, 3); None where there are too few repeats."""
+        if not len(residuals):
+            return None
+        scatter = scatter_of_repeats(residuals, slope, self._groups)
+        if scatter.settings < LEAST_REPEATS:
+            return None
+        if self._known is None or not scatter.is_close_to(self._known[0]):
+            self._known = scatter, noise_from_repeats(scatter, self._floor, one_size=self._one_size)
+        return self._known[1]
+
+
+LEAST_SETTING: Final = 1e-3
+"""Least setting error, as a part of the reading noise, both as they show in the signals."""
+
+
+def setting_limits(reading: float, setting_rad: float, slope2: float, freedom: float) -> tuple[float, float]:
+    """Return limits of the setting error (about 95 %), rad, from the freedom of the scatter along d.
+
+    The variance along d, sigma_u^2 + sigma_phi^2 |d|^2, is known to a part sqrt(2/freedom) of itself.
+    """
+    if slope2 <= 0.0:
+        return 0.0, float("inf")
+    u = np.sqrt(2.0 / max(freedom, 1.0)) * (reading**2 / slope2 + setting_rad**2)
+    low, high = setting_rad**2 - 2 * u, setting_rad**2 + 2 * u
+    return float(np.sqrt(max(low, 0.0))), float(np.sqrt(high))
+
+
+OF_RESIDUALS: Final = "residuals"
+LEAST_PART: Final = 1e-4
+"""Least reading noise that residuals can tell, as a part of what they are: below it the sums cancel."""
+MOST_PART: Final = 10.0
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What the model leaves, for the restricted likelihood of the two sizes of the noise.
+
+    `columns` (n, 3, p + 1) are the derivatives by the unknowns, and the response last; those from `fixed` on are
+    random effects scaled to unit prior standard deviation. `slope` (n, 3) is du/dphi. `free` (m, p + 1) are the
+    same of moduli, in the unit of the signal: they have the reading noise alone.
+    """
+
+    columns: Floats
+    slope: Floats
+    free: Floats
+    fixed: int
+
+    @property
+    def count(self) -> int:
+        """Signals and moduli."""
+        return 3 * len(self.columns) + len(self.free)
+
+    @property
+    def unknowns(self) -> int:
+        """Coefficients and random effects, p."""
+        return int(self.columns.shape[2]) - 1
+
+    @cached_property
+    def steepness(self) -> float:
+        """Root mean square of |du/dphi|, unit/rad."""
+        return max(rms(self._along[1]), 1e-300) if len(self.slope) else 1.0
+
+    def spread(self, unknowns: int) -> float:
+        """Return what least squares with the first so many unknowns leave, over their degrees of freedom."""
+        rows = np.vstack([self.columns.reshape(-1, self.unknowns + 1), self.free])
+        _, left = least_squares(rows[:, :unknowns], rows[:, -1])
+        return float(np.sqrt(left @ left / max(self.count - unknowns, 1)))
+
+    @cached_property
+    def _gram(self) -> Floats:
+        return np.asarray(
+            np.einsum("nip,niq->pq", self.columns, self.columns) + self.free.T @ self.free, dtype=np.float64
+        )
+
+    @cached_property
+    def _along(self) -> tuple[Floats, Floats]:
+        unit, length = unit_vectors(self.slope)
+        return np.einsum("nip,ni->np", self.columns, unit), length
+
+    def likelihood(self, log_sizes: Floats) -> tuple[float, Floats, float]:
+        """Return -2 log L, its derivatives by the logarithms of the two sizes, and y^T P y, a part of it."""
+        along, length = self._along
+        p = self.unknowns
+        reading, setting = np.exp(2 * log_sizes)
+        part = setting * length**2
+        weight = part / (reading * (reading + part))
+        whitened = self._gram / reading - (along * weight[:, None]).T @ along
+        normal = whitened[:p, :p] + np.diag((np.arange(p) >= self.fixed).astype(np.float64))
+        scale = 1 / np.sqrt(np.diag(normal))
+        lower = np.linalg.inv(np.linalg.cholesky(normal * np.outer(scale, scale))) * scale
+        inverse = lower.T @ lower
+        solution = inverse @ whitened[:p, p]
+        log_det = self.count * np.log(reading) + np.sum(np.log1p(part / reading))
+        log_det -= 2 * np.sum(np.log(np.diag(lower)))
+        # the derivative of log det + misfit is the trace of this matrix times that of the whitened Gram matrix
+        ends = np.append(-solution, 1.0)
+        trace = np.outer(ends, ends)
+        trace[:p, :p] += inverse
+        each = np.einsum("np,pq,nq->n", along, trace, along, optimize=True)
+        by_reading = self.count - np.sum(part / (reading + part)) - np.sum(self._gram * trace) / reading
+        by_reading += np.sum(each * weight * (2 * reading + part) / (reading + part))
+        by_setting = np.sum(part / (reading + part)) - np.sum(each * part / (reading + part) ** 2)
+        misfit = whitened[p, p] - solution @ whitened[:p, p]
+        return float(log_det + misfit), 2 * np.array([by_reading, by_setting]), float(misfit)
+
+
+def noise_from_residuals(of: Residuals, floor: float, known: KnownNoise | None = None) -> Noise:
+    """Restricted maximum likelihood of the two sizes of the noise from what the model leaves.
+
+    For data without enough repeats. What is `known` of the sizes counts in it as a prior: of a statement as much as
+    the residuals lack of degrees of freedom, of other runs as much as they tell, unless the residuals contradict.
+    """
+    signals = max(of.count - of.unknowns, 0)
+    known = None if known is None else known.beside(signals)
+    prior = None if known is None else _prior(of, known, floor)
+    if prior is None or (not prior.stated and signals >= LEAST_SIGNALS and prior.p < CONTRADICTS_P):
+        return _most_likely(of, floor, None)
+    return _most_likely(of, floor, prior)
+
+
+def require_told(noise: Noise) -> None:
+    """Refuse sizes of the noise that hardly any reading tells and nobody stated: u would be an accident."""
+    if noise.source == OF_RESIDUALS and noise.prior is None and noise.reading_dof < LEAST_DOF:
+        raise CalibrationError(
+            "so few readings tell nothing of their noise, and nobody stated it in the unit of the signals: measure "
+            "more points or passes, or give signals in V and voltmeter_error in the bench file"
+        )
+
+
+def _prior(of: Residuals, known: KnownNoise, floor: float) -> NoisePrior:
+    """Return what is known beside the residuals: their y^T P y is chi-square if it holds, F about an estimate."""
+    reading, freedom = max(rms(known.channels), floor), of.count - of.fixed
+    prior = NoisePrior(reading, known.setting_rad, known.dof, freedom, np.nan, np.nan, known.stated)
+    if freedom <= 0:
+        return prior
+    sizes = [reading, max(known.setting_rad, LEAST_SETTING * reading / of.steepness)]
+    ratio = of.likelihood(np.log(sizes))[2] / freedom
+    if known.stated:
+        above = float(special.chdtrc(freedom, freedom * ratio))
+    else:
+        above = float(special.fdtrc(freedom, known.dof, ratio))
+    return replace(prior, ratio=float(np.sqrt(ratio)), p=2.0 * min(above, 1.0 - above))
+
+
+def _most_likely(of: Residuals, floor: float, prior: NoisePrior | None) -> Noise:
+    signals, own = of.count - of.unknowns, of.spread(of.unknowns)
+    guess = max(own, floor)
+    setting, most, weight = 0.3 * guess / of.steepness, MOST_PART * guess, 0.0
+    if prior is not None:
+        guess, setting, weight = prior.reading, prior.setting_rad or setting, prior.dof
+        most = MOST_PART * max(guess, of.spread(of.fixed))
+    source = OF_RESIDUALS if prior is None else prior.source
+    if not len(of.columns):
+        dof = max(signals, 0) + weight or 1.0
+        whole = float(np.sqrt((max(signals, 0) * own**2 + weight * guess**2) / dof))
+        return Noise(max(whole, floor), 0.0, dof, source, prior=prior)
+    stated = np.array([guess, 0.0 if prior is None else prior.setting_rad])
+
+    def minus_two_log_posterior(log_sizes: Floats) -> tuple[float, Floats]:
+        value, slope, _ = of.likelihood(log_sizes)
+        # a scaled inverse chi-square of each variance
+        ratio = np.square(stated / np.exp(log_sizes))
+        return value + weight * float(np.sum(2 * log_sizes + ratio)), slope + 2 * weight * (1 - ratio)
+
+    low = np.log([max(floor, LEAST_PART * guess), LEAST_SETTING * guess / of.steepness])
+    high = np.log([most, most / of.steepness])
+    start = np.clip(np.log([guess, setting]), low, high)
+    from scipy.optimize import minimize
+
+    bounds = list(zip(low.tolist(), high.tolist(), strict=True))
+    found = minimize(minus_two_log_posterior, start, method="L-BFGS-B", jac=True, bounds=bounds)
+    reading, angle = np.exp(found.x).tolist()
+    dof = max(signals, 0) + 1.5 * weight or 1.0
+    limits = setting_limits(reading, angle, of.steepness**2, dof / 3)
+    return Noise(reading, angle, float(dof), source, limits, prior=prior)
+
+
+def whiten(columns: Floats, slope: Floats, noise: Noise) -> Floats:
+    """Return W times columns (n, 3, p), where W^T W is the inverse of the covariance of each reading.
+
+    W = (I + s s^T)^(-1/2) D^(-1) with D = diag(sigma_x, sigma_y, sigma_z), s = sigma_phi D^(-1) d.
+    """
+    sizes = noise.by_channel
+    return _shrunk(columns / sizes[:, None], slope / sizes, noise.setting_rad)
+
+
+def whiten_back(columns: Floats, slope: Floats, noise: Noise) -> Floats:
+    """Return W^T times columns (n, 3, p), W as in `whiten`: from whitened readings back to raw ones."""
+    sizes = noise.by_channel
+    return np.asarray(_shrunk(columns, slope / sizes, noise.setting_rad) / sizes[:, None])
+
+
+def _shrunk(columns: Floats, slope: Floats, setting_rad: float) -> Floats:
+    unit, length = unit_vectors(slope)
+    shrink = 1.0 - 1.0 / np.hypot(1.0, setting_rad * length)
+    along = np.einsum("nip,ni->np", columns, unit) * shrink[:, None]
+    return np.asarray(columns - unit[:, :, None] * along[:, None, :])

@@ -1,0 +1,384 @@
+"""Which unknowns readings determine, and the null space taken apart into directions with names."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any, Final
+
+import numpy as np
+
+from bench.base.arrays import ARCSEC, Floats
+from bench.calibration.design import FIXED, SYMBOLS, FreeRows, Problem, StandUnknown
+from bench.calibration.free import modulus_rows
+from bench.model.block import COEFFICIENTS, Block
+from bench.model.conditions import Conditions
+from bench.model.geometry import STAND_ANGLES
+
+MEMBER: Final = 0.02
+"""An unknown belongs to a direction when it is more than this part of the largest in it."""
+_IN_SPAN: Final = 1e-3
+_NOTHING: Final = 1e-6
+_MOST_NAMED: Final = 4
+
+
+class DirectionKind(StrEnum):
+    """What a direction that leaves no trace is."""
+
+    UNSEEN = "no reading depends on it"
+    TURN = "a common turn of the block's axes"
+    ALIKE = "the readings cannot tell them apart"
+    MIXED = "goes into coefficients without a trace"
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A change of unknowns that no reading shows.
+
+    `members` are the changes by name, in SI and the unit of the signals, angles and effects before
+    coefficients, the largest first: for one radian of a turn, else for one unit of the first member. `axis` is
+    that of a turn, on block axes, up to its sign. `only` says what of two angles is shown ("sum" or
+    "difference"), and is empty otherwise.
+    """
+
+    kind: DirectionKind
+    members: Mapping[str, float]
+    axis: tuple[float, float, float] | None = None
+    only: str = ""
+
+    @property
+    def others(self) -> list[str]:
+        """The unknowns in it that are no coefficients: stand angles, settings, effects; small parts left out."""
+        return self._telling([name for name in self.members if name not in COEFFICIENTS])
+
+    @property
+    def coefficients(self) -> list[str]:
+        """The coefficients in it; small parts left out."""
+        return self._telling([name for name in self.members if name in COEFFICIENTS])
+
+    def _telling(self, names: list[str]) -> list[str]:
+        largest = max((abs(self.members[name]) for name in names), default=0.0)
+        return [name for name in names if abs(self.members[name]) > MEMBER * largest]
+
+    def text(self, unit: str = "V") -> str:
+        """Say it in words; `unit` is that of the signals."""
+        if self.kind is DirectionKind.TURN and not self.others:
+            return f"{self.kind} about {axis_in_words(self.axis)}: {self._changed(unit)}"
+        if self.kind is DirectionKind.UNSEEN or not self.others:
+            return f"{', '.join(self.others or self.coefficients)}: {self.kind}"
+        if self.kind is DirectionKind.ALIKE:
+            return f"{self._shown()}; {self.kind}"
+        if self.kind is DirectionKind.TURN:
+            return f"{self.kind} about {axis_in_words(self.axis)} ({self._shown()}): {self._changed(unit)}"
+        return f"{self._together()}: {self.kind}: {self._changed(unit)}"
+
+    def _shown(self) -> str:
+        names = self.others
+        return (
+            f"of {names[0]} and {names[1]} only the {self.only} is shown" if self.only else self._together()
+        )
+
+    def _together(self) -> str:
+        names = self.others
+        if len(names) == 1:
+            return names[0]
+        ratios = ", ".join(
+            f"{self.members[name] / self.members[names[0]]:.2g}" for name in names[:_MOST_NAMED]
+        )
+        more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+        return f"{', '.join(names[:_MOST_NAMED])} as ({ratios}){more}"
+
+    def _changed(self, unit: str) -> str:
+        """The coefficients that change, for an arcsecond where an angle leads."""
+        angle = self.kind is DirectionKind.TURN or self.others[0].startswith(("alpha", "mounting"))
+        size, per = (ARCSEC, "1 arcsec") if angle else (1.0, f"1 of {self.others[0]} (SI)")
+        micro, shown_unit = (1e6, "µV") if unit == "V" else (1.0, unit)
+        changes = (
+            f"{self.members[name] * size * micro:+.3g} {shown_unit}{'' if name[0] == 'U' else '/g'} in {name}"
+            for name in self.coefficients[:_MOST_NAMED]
+        )
+        return f"{per} is {', '.join(changes)}"
+
+
+def directions_of(
+    null: Floats, length: Floats, names: tuple[str, ...], block: Block
+) -> tuple[Direction, ...]:
+    """Return directions that span a null space (p, d), the plainest first.
+
+    `null` is an orthonormal basis in unknowns scaled by `length` (p,), the lengths of their columns.
+    """
+    return _Directions(null, length, names, block).all()
+
+
+class _Directions:
+    """Takes nameable directions out of a null space, the plainest first. Vectors are in scaled unknowns."""
+
+    def __init__(self, null: Floats, length: Floats, names: tuple[str, ...], block: Block) -> None:
+        self._whole = self._null = null
+        self._length = length
+        self._names = names
+        self._fixed = np.array([name in COEFFICIENTS for name in names])
+        self._turns = length[:FIXED, None] * _turns(block)
+
+    def all(self) -> tuple[Direction, ...]:
+        unseen = np.linalg.norm(self._null, axis=1) > 1 - _IN_SPAN
+        found = []
+        if np.any(unseen):
+            members = dict.fromkeys(np.array(self._names)[unseen].tolist(), 1.0)
+            found = [Direction(DirectionKind.UNSEEN, {name: size}) for name, size in members.items()]
+            self._take_out(np.eye(len(self._names))[:, unseen])
+        alike = self._null @ _null_space(self._null[self._fixed])
+        found += [self._direction(DirectionKind.ALIKE, vector) for vector in self._sparse(alike)]
+        self._take_out(alike)
+        found += self._take_turns()
+        found += [self._direction(DirectionKind.MIXED, vector) for vector in self._sparse(self._null)]
+        return tuple(found)
+
+    def _take_turns(self) -> list[Direction]:
+        """Turns of the block whose change of the coefficients lies in the null space."""
+        part = self._null[self._fixed]
+        if not part.shape[1]:
+            return []
+        outside = self._turns - part @ np.linalg.lstsq(part, self._turns, rcond=None)[0]
+        axes = _plain_basis(_null_space(outside / np.linalg.norm(self._turns)))
+        vectors = self._null @ np.linalg.lstsq(part, self._turns @ axes, rcond=None)[0]
+        found = []
+        for axis, vector in zip(axes.T, vectors.T, strict=True):
+            turn = self._direction(DirectionKind.TURN, vector)
+            found.append(replace(turn, axis=(float(axis[0]), float(axis[1]), float(axis[2]))))
+        self._take_out(vectors)
+        return found
+
+    def _take_out(self, vectors: Floats) -> None:
+        """Leave of the null space what is orthogonal to these vectors of it."""
+        if vectors.shape[1]:
+            self._null = self._null @ _null_space(vectors.T @ self._null)
+
+    def _sparse(self, basis: Floats) -> list[Floats]:
+        """Vectors that span the same, each with a leading unknown that the others lack; coefficients lead last."""
+        vectors = basis.copy()
+        free = np.ones(len(vectors), dtype=bool)
+        for k in range(basis.shape[1]):
+            weight = np.abs(vectors[:, k:]).max(axis=1) * free
+            nuisance = weight * ~self._fixed
+            row = int(np.argmax(nuisance if nuisance.max() > _IN_SPAN else weight))
+            column = k + int(np.argmax(np.abs(vectors[row, k:])))
+            vectors[:, [k, column]] = vectors[:, [column, k]]
+            vectors[:, k] /= vectors[row, k]
+            rest = [j for j in range(basis.shape[1]) if j != k]
+            vectors[:, rest] -= np.outer(vectors[:, k], vectors[row, rest])
+            free[row] = False
+        return list(vectors.T)
+
+    def _direction(self, kind: DirectionKind, vector: Floats) -> Direction:
+        """Name the members: stand angles first, then effects, then coefficients, each the largest first."""
+        weight = np.abs(vector)
+        weight[weight < _NOTHING * weight.max()] = 0.0
+        change = vector / self._length
+        rank = {
+            j: (bool(self._fixed[j]), -round(float(weight[j]), 6), j) for j in range(len(weight)) if weight[j]
+        }
+        order = sorted(rank, key=rank.__getitem__)
+        lead = float(np.sign(change[order[0]])) if kind is DirectionKind.TURN else change[order[0]]
+        members = {self._names[j]: float(change[j] / lead) for j in order}
+        found = Direction(kind, members)
+        return replace(found, only=self._only([self._names.index(name) for name in found.others], change))
+
+    def _only(self, pair: list[int], change: Floats) -> str:
+        """Which combination of a pair of unknowns no null vector touches: their sum, their difference, or none."""
+        if len(pair) != 2:
+            return ""
+        ratio = change[pair[1]] / change[pair[0]]
+        kept = self._whole[pair] / self._length[pair, None]
+        if abs(abs(ratio) - 1) > MEMBER or np.linalg.norm(
+            kept[1] - ratio * kept[0]
+        ) > MEMBER * np.linalg.norm(kept):
+            return ""
+        return "sum" if ratio < 0 else "difference"
+
+
+def _turns(block: Block) -> Floats:
+    """Change of the coefficients (12, 3) for a turn of the block's axes by 1 rad about x, y, z: dK = K [w]x."""
+    cross = np.array([np.cross(np.eye(3), axis) for axis in np.eye(3)])
+    columns: Floats = np.zeros((FIXED, 3))
+    columns[:9] = np.stack([(block.K @ matrix).ravel() for matrix in cross], axis=1)
+    return columns
+
+
+def _null_space(matrix: Floats) -> Floats:
+    """Orthonormal basis (n, d) of the vectors that `matrix` (m, n) takes to nearly zero."""
+    _, size, directions = np.linalg.svd(matrix)
+    size = np.concatenate([size, np.zeros(len(directions) - len(size))])
+    return np.asarray(directions[size < _IN_SPAN].T)
+
+
+def _plain_basis(axes: Floats) -> Floats:
+    """The same span of axes (3, d), by x, y, z themselves as far as they lie in it."""
+    within = [k for k in range(3) if np.linalg.norm(axes[k]) > 1 - _IN_SPAN]
+    plain = np.eye(3)[:, within]
+    rest = axes @ _null_space(plain.T @ axes) if within else axes
+    return np.hstack([plain, rest])
+
+
+def axis_in_words(axis: tuple[float, float, float] | None) -> str:
+    """Return an axis in words: "y", or "0.71 y - 0.71 z"."""
+    parts = [(a, name) for a, name in zip(axis or (), "xyz", strict=False) if abs(a) > MEMBER]
+    if len(parts) == 1:
+        return parts[0][1]
+    first = parts[0][0]
+    return "the axis " + " ".join(f"{np.sign(first) * a:+.2f} {name}" for a, name in parts).removeprefix("+")
+
+
+TRACELESS: Final = 1e-4
+"""A direction leaves no trace when its singular value is below this part of the largest.
+
+Angles read back differ from the nominal ones by arcseconds, which lends a null vector about 1e-5 of size.
+"""
+_NO_COLUMN: Final = 1e-8
+
+
+@dataclass(frozen=True)
+class Observability:
+    """Rank of `columns` unknowns, and the directions that leave no trace (as many as the rank falls short)."""
+
+    names: tuple[str, ...]
+    rank: int
+    directions: tuple[Direction, ...]
+    null: Floats
+
+    @property
+    def columns(self) -> int:
+        """How many unknowns there are."""
+        return len(self.names)
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """The unknowns that take part in a direction without trace: the data alone do not give them."""
+        weight = np.abs(self.null).max(axis=1, initial=0.0)
+        return tuple(n for n, w in zip(self.names, weight, strict=True) if w > MEMBER)
+
+    @property
+    def determined(self) -> tuple[str, ...]:
+        """The unknowns that the data alone give."""
+        return tuple(name for name in self.names if name not in self.undetermined)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as JSON values."""
+        return {
+            "rank": self.rank,
+            "unknowns": self.columns,
+            "determined": list(self.determined),
+            "undetermined": list(self.undetermined),
+            "directions": [
+                {"kind": d.kind.name.lower(), "text": d.text(), "members": dict(d.members)}
+                for d in self.directions
+            ],
+        }
+
+
+# --- columns ----------------------------------------------------------------------------------------
+
+
+def with_angles(problem: Problem, names: Collection[str]) -> Problem:
+    """Return the problem with these stand angles of every mounting as unknowns, and those that it has."""
+    taken = {(s.mount, s.column) for s in problem.stand}
+    further = tuple(
+        StandUnknown(mount, STAND_ANGLES.index(name), ARCSEC)
+        for mount in range(len(problem.conditions.mounts))
+        for name in STAND_ANGLES
+        if name in names and (mount, STAND_ANGLES.index(name)) not in taken
+    )
+    return replace(problem, stand=problem.stand + further)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Derivatives of readings by unknowns: `rows` (m, p) in unit per SI, one row a signal, and `names` (p,)."""
+
+    rows: Floats
+    names: tuple[str, ...]
+
+    def of(self, name: str) -> Floats:
+        """Return the column of an unknown, shape (m,)."""
+        return np.asarray(self.rows[:, self.names.index(name)])
+
+    def without(self, names: Collection[str]) -> Columns:
+        """Return the columns of the other unknowns."""
+        kept = [j for j, name in enumerate(self.names) if name not in names]
+        return Columns(self.rows[:, kept], tuple(self.names[j] for j in kept))
+
+    def observability(self, block: Block) -> Observability:
+        """Return what rows like these determine; `block` tells how a turn of its axes looks."""
+        length = np.linalg.norm(self.rows, axis=0)
+        seen = length > _NO_COLUMN * max(float(length.max()), 1e-300)
+        length = np.where(seen, length, 1.0)
+        scaled = np.where(seen, self.rows / length, 0.0)
+        _, size, directions = np.linalg.svd(np.linalg.qr(scaled, mode="r"))
+        size = np.concatenate([size, np.zeros(len(length) - len(size))])
+        null = directions[size <= TRACELESS * max(float(size[0]), 1e-300)].T
+        found = directions_of(null, length, self.names, block)
+        return Observability(self.names, len(length) - null.shape[1], found, null)
+
+
+def observability(
+    problem: Problem,
+    block: Block,
+    *,
+    modulus: Conditions | None = None,
+    common: Collection[str] = (),
+    settings: bool = False,
+) -> Observability:
+    """Return what readings under the problem's conditions determine of its unknowns.
+
+    Taken at zero stand angles, where the null vectors are exact, and at the coefficients of `block`.
+    `modulus` are further readings of which only |a| = 1 g is used; stand angles named in `common` are one
+    unknown for all mountings; with `settings` the setting error of each point is an unknown, the same in every
+    pass. Raises `KeyError` for an installation that the model lacks.
+    """
+    columns = columns_of(problem, block, modulus)
+    for name in common:
+        columns = _made_common(columns, SYMBOLS[name])
+    if settings:
+        columns = _with_settings(columns, problem, block)
+    return columns.observability(block)
+
+
+def columns_of(problem: Problem, block: Block, modulus: Conditions | None = None) -> Columns:
+    """Return the derivatives by all unknowns of a problem at zero stand angles; `modulus` as above.
+
+    Free readings of the problem take part by the modulus, too.
+    """
+    others = problem.prior_mean
+    parts = [np.zeros((0, FIXED + len(others)))]
+    if len(problem.conditions):
+        parts.append(problem.jacobian(block, others).reshape(-1, parts[0].shape[1]))
+    typical = float(np.max(np.abs(block.K)))
+    if problem.free is not None:
+        parts.append(typical * modulus_rows(problem, block, others).jacobian)
+    if modulus is not None:
+        level = np.zeros((len(modulus.mounts), len(STAND_ANGLES)))
+        free = FreeRows(problem.model.readings(block, modulus, level), modulus)
+        parts.append(typical * modulus_rows(replace(problem, free=free), block, others).jacobian)
+    return Columns(np.vstack(parts), (*COEFFICIENTS, *problem.names()))
+
+
+def _made_common(columns: Columns, symbol: str) -> Columns:
+    own = [name for name in columns.names if name.startswith(f"{symbol}[")]
+    merged = sum((columns.of(name) for name in own), np.zeros(len(columns.rows)))
+    rest = columns.without(own)
+    return Columns(np.column_stack([rest.rows, merged]), (*rest.names, f"{symbol}[all]"))
+
+
+def _with_settings(columns: Columns, problem: Problem, block: Block) -> Columns:
+    conditions = problem.conditions
+    slope = problem.slope(block, problem.prior_mean)
+    places = np.stack([conditions.mount, conditions.point], axis=1)
+    added, names = [], []
+    for mount, point in dict.fromkeys(map(tuple, places.tolist())):
+        here = np.all(places == (mount, point), axis=1)
+        column = np.zeros(len(columns.rows))
+        column[: slope.size] = (slope * here[:, None]).ravel()
+        added.append(column)
+        names.append(f"alpha4[{conditions.mounts[mount]}, point {point}]")
+    return Columns(np.column_stack([columns.rows, *added]), (*columns.names, *names))

@@ -1,0 +1,156 @@
+"""Outliers: readings that the model and all the others contradict, found one by one.
+
+Candidates are each signal of each reading, each setting of the head (which moves three signals along
+du/dphi), each modulus of a free position. In a step the candidate with the largest studentised residual gets a
+shift of its own, and noise and fit are made anew without it; a reading with a shift tells nothing of the noise.
+After the last step the readings up to the last significant one are outliers: several may hide each other.
+The level counts all looks. Source: Rosner, Technometrics 25 (1983) 165 (generalised extreme studentised
+deviate), with the residuals of a regression.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy import special
+
+from bench.base.arrays import ARCSEC, Floats, Ints, unit_vectors
+from bench.calibration.design import Problem
+from bench.calibration.estimator import Estimator, Task
+from bench.calibration.gls import MODULUS, SETTING, Fit, Shift, whitened_rows
+from bench.calibration.noise import whiten
+from bench.calibration.result import Outlier
+from bench.readings.table import Readings
+
+LEVEL: Final = 0.01
+"""Probability that a clean set of readings is said to have an outlier."""
+QUIET: Final = 3.0
+"""No search where no studentised residual is beyond this: outliers that hide each other leave larger ones."""
+LOUD: Final = 3.8
+"""A lone outlier leaves a larger one: its own part in the noise is small."""
+PLAINER: Final = 1.05
+"""A setting has to explain so much more than one of the three signals that it moves."""
+LEAST_PART: Final = 1e-6
+"""A candidate is none where the fit takes up all but this part of it."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The rows of a fit: oriented and free, and where each stands in the table (from 0)."""
+
+    oriented: Readings
+    free: Readings
+    oriented_rows: Ints
+    free_rows: Ints
+
+
+def most_outliers(problem: Problem) -> int:
+    """Return how many outliers are looked for: more than an eighth of the readings are no exceptions."""
+    readings = len(problem.conditions) + (0 if problem.free is None else len(problem.free.signal))
+    return max(readings // 8, 1)
+
+
+def search(problem: Problem, fit: Fit, refit: Callable[[tuple[Shift, ...]], Fit], most: int) -> Fit:
+    """Return the fit with a shift for each outlier; `fit` itself where there is none.
+
+    `fit` has no shifts, `refit` makes it anew with some, `most` is how many are looked for.
+    """
+    fits, significant = [fit], 0
+    for step in range(most):
+        worst, size = most_extreme(problem, fits[-1])
+        if step == 0 and size < (QUIET if most > 1 else LOUD):
+            break
+        fits.append(refit((*fits[-1].shifts, worst)))
+        if not fits[-1].u_shift[-1] > 0:
+            break
+        statistic = abs(fits[-1].shift[-1]) / fits[-1].u_shift[-1]
+        if statistic > critical(looks(problem) - step, fits[-1].noise.reading_dof):
+            significant = step + 1
+    return fits[significant]
+
+
+def looks(problem: Problem) -> int:
+    """Return the number of candidates."""
+    return 4 * len(problem.conditions) + (0 if problem.free is None else len(problem.free.signal))
+
+
+def critical(candidates: int, dof: float) -> float:
+    """Return the size of a studentised residual that chance exceeds anywhere among the candidates at `LEVEL`."""
+    p = 1.0 - LEVEL / (2 * candidates)
+    return float(special.ndtri(p) if np.isinf(dof) else special.stdtrit(dof, p))
+
+
+def most_extreme(problem: Problem, fit: Fit) -> tuple[Shift, float]:
+    """Return the candidate with the largest studentised residual, and its size."""
+    system, n = fit.system, len(problem.conditions)
+    # the priors' rows take part in the fit, and so in what it leaves
+    rows, target, _ = whitened_rows(problem, system, fit.noise, fit.others)
+    q, _ = np.linalg.qr(rows)
+    left = target - q @ (q.T @ target)
+    by_setting = unit_vectors(system.slope)[0][:, :, None]
+    ways = np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), by_setting], axis=2)
+    ways = whiten(ways, system.slope, fit.noise) if n else ways
+    taken = np.einsum("nip,nij->npj", q[: 3 * n].reshape(n, 3, q.shape[1]), ways)
+    own = np.einsum("nij,nij->nj", ways, ways)
+    found = np.einsum("nij,ni->nj", ways, left[: 3 * n].reshape(n, 3))
+    signals = _studentised(found, own - np.einsum("npj,npj->nj", taken, taken), own)
+    # where du/dphi lies along one channel, a setting and that signal look alike: the signal is the plainer
+    signals[:, SETTING] /= PLAINER
+    m = len(system.free.left)
+    free = q[3 * n : 3 * n + m]
+    moduli = _studentised(left[3 * n : 3 * n + m], 1 - np.einsum("mp,mp->m", free, free), np.ones(m))
+    everything = np.concatenate([signals.ravel(), moduli])
+    worst = int(np.argmax(everything))
+    size = float(everything[worst])
+    if worst >= signals.size:
+        return Shift(worst - signals.size, MODULUS), size
+    return Shift(worst // 4, (0, 1, 2, SETTING)[worst % 4]), size
+
+
+def listed(fit: Fit, chosen: Chosen) -> tuple[Outlier, ...]:
+    """Return the shifts of a fit as outliers, with their places in the table."""
+    found = []
+    for shift, size, u in zip(fit.shifts, fit.shift, fit.u_shift, strict=True):
+        free = shift.channel == MODULUS
+        table = chosen.free if free else chosen.oriented
+        rows = chosen.free_rows if free else chosen.oriented_rows
+        channel, unit, per = _CHANNELS.get(shift.channel, ("", table.unit, 1.0))
+        found.append(
+            Outlier(
+                row=int(rows[shift.row]) + 1,
+                series=int(table.series[shift.row]),
+                installation=str(table.installation[shift.row]),
+                pass_number=int(table.pass_number[shift.row]),
+                point=int(table.point[shift.row]),
+                channel=channel or "xyz"[shift.channel],
+                # the row of a modulus is 1 - |a|: what is too large there is too small in |a|
+                size=float(-size if free else size / per),
+                unit=unit,
+                sigma=float(abs(size) / u),
+            )
+        )
+    return tuple(found)
+
+
+_CHANNELS: Final = {SETTING: ("head", "arcsec", ARCSEC), MODULUS: ("modulus", "g", 1.0)}
+
+
+def _studentised(found: Floats, variance: Floats, whole: Floats) -> Floats:
+    free = variance > LEAST_PART * whole
+    return np.asarray(np.where(free, np.abs(found) / np.sqrt(np.where(free, variance, 1.0)), 0.0))
+
+
+def _without_outliers(task: Task) -> Fit:
+    return search(task.problem, task.fit, task.refit, most_outliers(task.problem))
+
+
+ESTIMATOR: Final = Estimator(
+    "robust",
+    "gls without the weight of outliers",
+    _without_outliers,
+    drops_outliers=True,
+    counts_as="gls",
+)

@@ -1,0 +1,475 @@
+"""What a calibration returns: coefficients with covariance, and everything needed to judge them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from bench.base.arrays import ARCSEC, CHANNELS, Floats, HasCovariance, rms, u_of
+from bench.base.numbers import finite_or_none
+from bench.model.block import COEFFICIENTS, Block
+from bench.readings.table import Readings
+from bench.stats.repeats_likelihood import LEAST_DOF
+
+if TYPE_CHECKING:
+    from bench.calibration.components import Component, Drift
+
+
+@dataclass(frozen=True)
+class SourceOfError:
+    """An error that these readings do not show, and what it adds: `covariance` (12, 12) of the coefficients.
+
+    `size` says in words how large it is taken, `origin` from where; `prior` that nobody stated it for this bench.
+    `cancels` tells that it acts alike wherever the same meters read the block. `of_block` (12, q) is there for
+    what the block itself brings wherever it goes: what each draw of it, one u large, adds to the coefficients.
+    """
+
+    name: str
+    symbol: str
+    size: str
+    origin: str
+    prior: bool
+    dof: float
+    covariance: Floats
+    cancels: bool = False
+    of_block: Floats | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "name": self.name,
+            "symbol": self.symbol,
+            "size": self.size,
+            "origin": self.origin,
+            "prior": self.prior,
+            "dof": finite_or_none(self.dof),
+            "u": dict(zip(COEFFICIENTS, u_of(self.covariance).tolist(), strict=True)),
+            "cancels_with_the_same_meters": self.cancels,
+        }
+
+
+COVERAGE_FACTOR: Final = 2.0
+"""U is so many times u."""
+
+LACK_OF_FIT_P: Final = 0.01
+"""A model fits readings where chance leaves as much at least this often."""
+
+NOT_ACCEPTED_P: Final = 1e-4
+"""Below it no calibration is accepted: its u widens with the misfit, but the cause is not known."""
+
+HARDLY_BETTER = 0.95
+"""An uncertainty that is left to such a part of what it was before has learnt nothing worth the name."""
+
+
+class CalibrationError(ValueError):
+    """The readings cannot give what was asked of them; the text says why and what would."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its standard uncertainty, both in `unit`; `prior_u` is what was known before the data."""
+
+    value: float
+    u: float
+    unit: str
+    prior_u: float = float("inf")
+
+    @property
+    def told_by_data(self) -> bool:
+        """Whether the data made it any better known than it was before."""
+        return self.u < HARDLY_BETTER * self.prior_u
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {"value": self.value, "u": self.u, "unit": self.unit, "told_by_data": self.told_by_data}
+
+
+@dataclass(frozen=True)
+class NoisePrior:
+    """Sizes of the noise that were stated before the readings, and count beside them.
+
+    Each variance has a scaled inverse chi-square distribution about its size: `reading` (unit of the signal) and
+    `setting_rad`, 1 sigma, with `dof` degrees of freedom. `readings_dof` are those that the readings leave;
+    `ratio` is how many times the stated noise they scatter, with the two-sided probability `p` of being so far from
+    1 (NaN where they leave no degree of freedom). Sizes that are not `stated` are those of other runs.
+    """
+
+    reading: float
+    setting_rad: float
+    dof: float
+    readings_dof: float
+    ratio: float
+    p: float
+    stated: bool
+
+    @property
+    def source(self) -> str:
+        """Where the sizes of a noise come from beside which these count."""
+        where = "the bench file" if self.stated else "other runs"
+        return f"residuals and {where}" if self.readings_dof > 0 else where
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "reading_v": self.reading,
+            "setting_arcsec": self.setting_rad / ARCSEC,
+            "dof": self.dof,
+            "readings_dof": self.readings_dof,
+            "ratio": finite_or_none(self.ratio),
+            "p": finite_or_none(self.p),
+            "from": "bench file" if self.stated else "other runs",
+        }
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Sizes of what is fresh at each reading, 1 sigma.
+
+    `reading` (unit of the signal) is fresh in each channel of each reading, `setting_rad` in each setting
+    of the head and common to its three channels. `dof` are the degrees of freedom of the estimate (counted
+    in single signals), infinite when given. `source` says where the sizes come from. `setting_limits_rad` are
+    the values between which the setting error lies with about 95 %: repeats often tell little of it.
+    `channels` are the sizes in x, y, z where they are not of one size, with degrees of freedom `channel_dof`;
+    `reading` is their root mean square. `p_equal` is the probability of such a difference where all three are of
+    one size (NaN where not tested). `prior` is what was stated and counts beside too few readings, else None.
+    """
+
+    reading: float
+    setting_rad: float
+    dof: float
+    source: str
+    setting_limits_rad: tuple[float, float] | None = None
+    channels: tuple[float, float, float] | None = None
+    channel_dof: tuple[float, float, float] | None = None
+    p_equal: float = float("nan")
+    prior: NoisePrior | None = None
+
+    @property
+    def by_channel(self) -> Floats:
+        """Sizes in x, y and z, shape (3,): `reading` where they were not told apart."""
+        return np.full(3, self.reading) if self.channels is None else np.array(self.channels)
+
+    @property
+    def reading_dof(self) -> float:
+        """Degrees of freedom of the reading noise: two of three signals tell of it, the third of the setting.
+
+        Where no setting is known all of them do; channels with sizes of their own have the mean of theirs.
+        """
+        if self.channel_dof is not None:
+            return float(np.mean(self.channel_dof))
+        return 2 * self.dof / 3 if self.setting_rad > 0 else self.dof
+
+    def widened(self) -> Noise:
+        """Return the sizes as they enter an uncertainty: larger where they are estimates themselves.
+
+        An estimate s with nu degrees of freedom stands for a scaled t distribution, whose standard deviation
+        is s sqrt(nu/(nu - 2)) (JCGM 101:2008, 6.4.9.4).
+        """
+        if np.isinf(self.dof):
+            return self
+        factor = widening(self.reading_dof)
+        wider = replace(self, reading=factor * self.reading, setting_rad=factor * self.setting_rad)
+        if self.channels is None or self.channel_dof is None:
+            return wider
+        x, y, z = (widening(nu) * size for nu, size in zip(self.channel_dof, self.channels, strict=True))
+        return replace(wider, channels=(x, y, z), reading=rms(np.array([x, y, z])))
+
+
+def widening(dof: float) -> float:
+    """Return sqrt(nu/(nu - 2)), by which a size with nu degrees of freedom enters larger; `LEAST_DOF` at least."""
+    nu = max(dof, LEAST_DOF)
+    return 1.0 if np.isinf(nu) else float(np.sqrt(nu / (nu - 2)))
+
+
+@dataclass(frozen=True)
+class LackOfFit:
+    """Residuals of the fit: their root mean square, and the part that repeats cannot explain.
+
+    `chi2` with `dof` is what the model leaves beyond the scatter of repeats, in units of that scatter; `p`
+    the probability of more (F test against the scatter). NaN where there are not enough repeats. Where the
+    noise was given, all that is left is compared with it. The closed form has `chi2` and `p` of the least
+    squares on the same readings: they judge the model, not the estimator. `rounding` is how much the digits of
+    readings without noise leave, which no model can explain.
+    """
+
+    rms: float
+    chi2: float
+    dof: int
+    p: float
+    rounding: float = 0.0
+
+    @property
+    def shown(self) -> bool:
+        """Whether a lack of fit is shown; what cannot be judged shows none."""
+        return self.p < LACK_OF_FIT_P
+
+    def accepted(self, *, strict: bool = False) -> bool:
+        """Whether a command that computes coefficients accepts them; with `strict` no lack of fit may be shown."""
+        return self.rms <= self.rounding or not (self.shown if strict else self.p < NOT_ACCEPTED_P)
+
+    def diagnose(self, source: str) -> tuple[str, ...]:
+        """Say where to look for the reason where it is not accepted; nothing where it is."""
+        if self.accepted():
+            return ()
+        return (
+            f"not accepted: the readings contradict the model (p < {NOT_ACCEPTED_P:g}); 'bench diagnose {source}' "
+            "finds which mistake or which effect it is",
+        )
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A signal that the model and the other readings contradict; it keeps its place in the record.
+
+    `row` counts the rows of the table from 1; `channel` is x, y, z, "head" for a setting that was off by
+    `size`, or "modulus" for a free position. `sigma` is the size over its standard uncertainty, `weight` what
+    is left of the signal's weight in the fit.
+    """
+
+    row: int
+    series: int
+    installation: str
+    pass_number: int
+    point: int
+    channel: str
+    size: float
+    unit: str
+    sigma: float
+    weight: float = 0.0
+
+    def text(self) -> str:
+        """Say it in words."""
+        visit = "" if self.series == 1 else f"series {self.series}, "
+        size = f"{self.size:+.3g} {self.unit}"
+        return (
+            f"row {self.row} ({visit}installation {self.installation}, pass {self.pass_number}, point "
+            f"{self.point}), {self.channel}: off by {size}, {abs(self.sigma):.3g} sigma"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        result = asdict(self)
+        result["pass"] = result.pop("pass_number")
+        return result
+
+
+@dataclass(frozen=True)
+class Triangular:
+    """The nine numbers of a = T S (U - b), a in m/s^2, with standard uncertainties.
+
+    `T` (3, 3) is unit upper triangular, `scale` (3,) the diagonal of S in m/s^2 per unit, `bias` (3,) in the
+    unit of the signal.
+    """
+
+    bias: Floats
+    scale: Floats
+    T: Floats
+    u_bias: Floats
+    u_scale: Floats
+    u_skew: Floats
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "convention": "a = T S (u - b) in m/s^2, T unit upper triangular, S diagonal and positive",
+            "bias": {"value": self.bias.tolist(), "u": self.u_bias.tolist()},
+            "scale_ms2_per_unit": {"value": self.scale.tolist(), "u": self.u_scale.tolist()},
+            "T": {"value": self.T.tolist(), "u": self.u_skew.tolist()},
+        }
+
+
+def values_with_u(values: Floats, u: Floats) -> dict[str, dict[str, float]]:
+    """Return the first of the twelve coefficients (m,) by name, each with its standard uncertainty."""
+    rows = zip(COEFFICIENTS, values.tolist(), u.tolist(), strict=False)
+    return {name: {"value": value, "u": u} for name, value, u in rows}
+
+
+def by_channel(values: Floats) -> dict[str, float]:
+    """Return values (3,) by the names of the channels."""
+    return dict(zip(CHANNELS, values.tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class Calibration(HasCovariance):
+    """The twelve coefficients and what belongs to them.
+
+    `covariance` (12, 12) in the order of `COEFFICIENTS` is the combined one, as far as `sources` go, and
+    `covariance_readings` the part of these readings and of the stand as it is stated; K in unit/g with
+    g = `g_m_s2`, biases in unit.
+    `stand` holds what the data tell of the stand ("alpha1[1]"), `effects` the fitted parameters of effects.
+    `fitted` are the readings used, `residuals` (n, 3) measured minus fitted with the stand's angles and the
+    effects at their estimates. `free` are the readings that joined by their modulus, `modulus_error` (m,)
+    |a| - 1 of each in g. `outliers` have no weight in the estimate; `notes` says what a reader should know.
+    `gain` (12, N, 3) is the map from the signals of the whole table to the coefficients, `slope`
+    (N, 3) du/dphi of them, zero for rows that are not oriented. `shared` are variances
+    that readings share, `drift` how the biases wander, `wander` (3,) how far they may, rms, `birge` by how much u
+    was widened where the model does not fit, `p_tails` the probability of such tails in Gaussian noise. `sources`
+    are the errors in the covariance that no reading shows; `gravity_u`, relative, is in none of these: K is per
+    local g. `dof` (12,) are effective degrees of freedom.
+    `triangular` is there for free positions alone. `assume` gives the sentences of `assumed`.
+    """
+
+    estimator: str
+    unit: str
+    g_m_s2: float
+    block: Block
+    covariance: Floats
+    covariance_readings: Floats
+    gain: Floats
+    slope: Floats
+    noise: Noise
+    lack_of_fit: LackOfFit
+    fitted: Readings
+    residuals: Floats
+    skipped: int
+    model: str
+    stand: Mapping[str, Estimate] = field(default_factory=dict)
+    effects: Mapping[str, Estimate] = field(default_factory=dict)
+    assume: Callable[[], tuple[str, ...]] = tuple
+    free: Readings | None = None
+    modulus_error: Floats = field(default_factory=lambda: np.zeros(0))
+    outliers: tuple[Outlier, ...] = ()
+    notes: tuple[str, ...] = ()
+    triangular: Triangular | None = None
+    angles: str = "read back"
+    shared: tuple[Component, ...] = ()
+    drift: Drift | None = None
+    wander: Floats | None = None
+    birge: float = 1.0
+    p_tails: float = float("nan")
+    sources: tuple[SourceOfError, ...] = ()
+    dof: Floats = field(default_factory=lambda: np.full(12, np.inf))
+    gravity_u: float = 0.0
+
+    @property
+    def u_readings(self) -> Floats:
+        """Standard uncertainties that these readings and the stand as it is stated give, shape (12,)."""
+        return u_of(self.covariance_readings)
+
+    @property
+    def U(self) -> Floats:  # noqa: N802 - the symbol of the field
+        """Expanded uncertainties k u with k = `COVERAGE_FACTOR`, shape (12,): u is widened for finite freedom."""
+        return COVERAGE_FACTOR * self.u
+
+    @property
+    def covariance_same_meters(self) -> Floats:
+        """The combined covariance without what cancels where the same meters read the block, (12, 12)."""
+        return self.covariance - sum((s.covariance for s in self.sources if s.cancels), np.zeros((12, 12)))
+
+    @property
+    def block_terms(self) -> Floats:
+        """What K2 and K3 of the block, each one u large, add to the coefficients, (12, q)."""
+        parts = [s.of_block for s in self.sources if s.of_block is not None]
+        return np.concatenate([np.zeros((12, 0)), *parts], axis=1)
+
+    @cached_property
+    def assumed(self) -> tuple[str, ...]:
+        """Sentences on what these data cannot show, and what it costs; worked out when first asked for."""
+        return self.assume()
+
+    @property
+    def used(self) -> int:
+        """Readings in the fit, oriented and free."""
+        return len(self.fitted) + len(self.modulus_error)
+
+    @property
+    def modulus_rms_g(self) -> float:
+        """Root mean square of |a| - 1 over the free readings that are no outliers, g; NaN where there are none."""
+        if self.free is None:
+            return float("nan")
+        out = {(o.series, o.installation, o.pass_number, o.point) for o in self.outliers}
+        of = self.free
+        columns = (of.series, of.installation, of.pass_number, of.point)
+        places = zip(*(column.tolist() for column in columns), strict=True)
+        kept = np.array([place not in out for place in places])
+        return rms(self.modulus_error[kept])
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised result (standard uncertainties; NaN becomes null)."""
+        fit = self.lack_of_fit
+        return {
+            "estimator": self.estimator,
+            "unit": self.unit,
+            "g_m_s2": self.g_m_s2,
+            "per": "g",
+            "coefficients": self._coefficients(),
+            "coefficients_per_ms2": self._per_ms2(),
+            "order": list(COEFFICIENTS),
+            "covariance": self.covariance.tolist(),
+            "covariance_readings": self.covariance_readings.tolist(),
+            "covariance_same_meters": self.covariance_same_meters.tolist(),
+            "block_terms": self.block_terms.T.tolist(),
+            "gravity_u": self.gravity_u,
+            "sources": [source.to_json() for source in self.sources],
+            "stand": {name: estimate.to_json() for name, estimate in self.stand.items()},
+            "effects": {name: estimate.to_json() for name, estimate in self.effects.items()},
+            "not_observable": list(self.assumed),
+            "residual": {
+                **{name: finite_or_none(getattr(fit, name)) for name in ("rms", "chi2", "p")},
+                "dof": fit.dof,
+                "birge": self.birge,
+            },
+            "noise": {
+                "reading_v": self.noise.reading,
+                **by_channel(self.noise.by_channel),
+                "p_equal": finite_or_none(self.noise.p_equal),
+                "p_tails": finite_or_none(self.p_tails),
+                "shared": [component.to_json() for component in self.shared],
+                "drift": None if self.drift is None else self.drift.to_json(),
+                "wander": None if self.wander is None else by_channel(self.wander),
+                "setting_arcsec": self.noise.setting_rad / ARCSEC,
+                "setting_limits_arcsec": self._setting_limits_arcsec(),
+                "dof": finite_or_none(self.noise.dof),
+                "source": self.noise.source,
+                "prior": None if self.noise.prior is None else self.noise.prior.to_json(),
+            },
+            "readings": {"used": self.used, "skipped": self.skipped},
+            "model": self.model,
+            "angles": self.angles,
+            "outliers": [outlier.to_json() for outlier in self.outliers],
+            "free_positions": self._free_json(),
+            "triangular": None if self.triangular is None else self.triangular.to_json(),
+        }
+
+    def _coefficients(self) -> dict[str, dict[str, float | None]]:
+        rows = zip(COEFFICIENTS, self.block.vector, self.u, self.u_readings, self.U, self.dof, strict=True)
+        return {
+            name: {
+                "value": float(value),
+                "u": float(u),
+                "u_readings": float(own),
+                "U": float(expanded),
+                "k": COVERAGE_FACTOR,
+                "dof": finite_or_none(float(dof)),
+            }
+            for name, value, u, own, expanded, dof in rows
+        }
+
+    def _per_ms2(self) -> dict[str, Any]:
+        """K in unit/(m/s^2), from K per g by the g that is stated, with its uncertainty."""
+        values = self.block.vector[:9]
+        u = np.hypot(self.u[:9], values * self.gravity_u) / self.g_m_s2
+        scale = values_with_u(values / self.g_m_s2, u)
+        return {"unit": f"{self.unit}/(m/s^2)", **scale}
+
+    def _free_json(self) -> dict[str, Any] | None:
+        if self.free is None:
+            return None
+        rows = zip(self.free.installation, self.free.pass_number, self.free.point, strict=True)
+        return {
+            "used": len(self.free),
+            "rms_g": rms(self.modulus_error),
+            "rms_g_without_outliers": self.modulus_rms_g,
+            "rows": [
+                {"installation": str(i), "pass": int(p), "point": int(t), "delta_g": float(e)}
+                for (i, p, t), e in zip(rows, self.modulus_error, strict=True)
+            ],
+        }
+
+    def _setting_limits_arcsec(self) -> list[float | None] | None:
+        limits = self.noise.setting_limits_rad
+        return None if limits is None else [finite_or_none(limit / ARCSEC) for limit in limits]

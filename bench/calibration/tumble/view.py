@@ -1,0 +1,339 @@
+"""A multi-point tumble by IEEE Std 1293: bias, scale factor, misalignments, K2, K3, with whole u."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from typing import Any, Final
+
+import numpy as np
+
+from bench.base.arrays import CHANNELS, Floats, HasCovariance, rms, u_of
+from bench.base.numbers import finite_or_none
+from bench.calibration import gls
+from bench.calibration.budget.coefficients import parts_of
+from bench.calibration.budget.setup import meters_of
+from bench.calibration.budget.sources import hidden_sources
+from bench.calibration.budget.whole import GRAVITY, VOLTS, Taken
+from bench.calibration.calibrate import first_guess, usable_rows
+from bench.calibration.derived import MISALIGNMENTS
+from bench.calibration.design import FIXED, Problem, make_problem
+from bench.calibration.noise import require_told
+from bench.calibration.result import CalibrationError, LackOfFit, Noise
+from bench.calibration.tumble.terms import DEFAULT, HOMES, LINEAR, Separable, columns, parameter_of, separable
+from bench.config.bench_file.file import BenchFile
+from bench.model.block import COEFFICIENTS, Block
+from bench.model.conditions import Conditions
+from bench.model.effects import CATALOGUE
+from bench.model.effects.base import AppliedEffect
+from bench.model.forward import ForwardModel
+from bench.model.geometry import STAND_ANGLES
+from bench.readings.table import Readings
+
+NO_PRIOR: Final = 1.0
+"""Standard deviation of a term before the readings, g/g^n: far beyond any plausible size, so that data decide."""
+K: Final = 2.0
+"""Coverage factor of U."""
+MOVES: Final = 0.01
+"""What a term that is left out moves by less than this part of its size is not told."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One estimate of an axis in `unit`.
+
+    `u` is combined where the view is, `u_readings` what the readings and the stand as it is stated show.
+    `contains` are the terms that cannot be separated from it, with their shares. What is estimated is then the
+    sum: "K3" with {"Koq": 0.59} is K3 + 0.59 Koq.
+    """
+
+    name: str
+    value: float
+    u: float
+    u_readings: float
+    unit: str
+    contains: Mapping[str, float]
+
+    @property
+    def words(self) -> str:
+        """What is estimated, such as "K3 + 0.586 Koq"; of the scale factor the shares are relative."""
+        parts = "".join(f" {'+' if c > 0 else '-'} {abs(c):.3g} {term}" for term, c in self.contains.items())
+        if not parts:
+            return self.name
+        return f"K1 (1{parts})" if self.name == "K1" else self.name + parts
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "value": self.value,
+            "u": self.u,
+            "U": K * self.u,
+            "u_readings": self.u_readings,
+            "unit": self.unit,
+            "contains": dict(self.contains),
+        }
+
+
+@dataclass(frozen=True)
+class TumbleView(HasCovariance):
+    """The three accelerometers of a block, each by the terms of IEEE Std 1293.
+
+    `axes` has the quantities of each channel in the order of `names` ("x.K0"), of which `covariance` is;
+    `covariance_readings` is what the readings and the stand as it is stated show, `combined` whether the other
+    holds more. `judged` says what the orientations determine; `left_out` what 1 of a term that was not asked for
+    moves: by channel, by term, by quantity, in g and g/g^n. `block` has the coefficients beside these terms,
+    `gain` (m, n, 3) is the map from the readings `fitted` to the quantities, `slope` (n, 3) their du/dphi.
+    """
+
+    unit: str
+    g_m_s2: float
+    block: Block
+    axes: Mapping[str, tuple[Quantity, ...]]
+    covariance: Floats
+    covariance_readings: Floats
+    gain: Floats
+    slope: Floats
+    judged: tuple[Separable, ...]
+    left_out: Mapping[str, Mapping[str, Mapping[str, float]]]
+    noise: Noise
+    lack_of_fit: LackOfFit
+    fitted: Readings
+    combined: bool = False
+    notes: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """Channel and name of each quantity, in the order of `covariance`."""
+        return [f"{channel}.{q.name}" for channel, own in self.axes.items() for q in own]
+
+    def correlation(self, first: str, second: str) -> float:
+        """Return the correlation of two quantities, by `names`."""
+        a, b = self.names.index(first), self.names.index(second)
+        return float(self.covariance[a, b] / (self.u[a] * self.u[b]))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        fit = self.lack_of_fit
+        return {
+            "unit": self.unit,
+            "g_m_s2": self.g_m_s2,
+            "k": K,
+            "model": "E/K1 = K0 + a_i + cross-axis terms + K2 a_i^2 + K3 a_i^3 + Koq a_i |a_i| + ..., a in g",
+            "axes": {
+                own.channel: {
+                    "quantities": {q.name: q.to_json() for q in self.axes[own.channel]},
+                    "rank": own.rank,
+                    "terms": list(own.asked),
+                    "not_separable": own.inseparable,
+                    "left_out": {term: dict(moved) for term, moved in self.left_out[own.channel].items()},
+                }
+                for own in self.judged
+            },
+            "order": self.names,
+            "combined": self.combined,
+            "covariance": self.covariance.tolist(),
+            "covariance_readings": self.covariance_readings.tolist(),
+            "noise": {
+                "reading_v": self.noise.reading,
+                "setting_arcsec": float(np.degrees(self.noise.setting_rad) * 3600),
+                "dof": finite_or_none(self.noise.dof),
+                "source": self.noise.source,
+            },
+            "residual": {
+                "rms": finite_or_none(fit.rms),
+                "chi2": finite_or_none(fit.chi2),
+                "dof": fit.dof,
+                "p": finite_or_none(fit.p),
+            },
+            "readings": len(self.fitted),
+        }
+
+
+def tumble_view(
+    readings: Readings,
+    model: ForwardModel,
+    stand_u: Mapping[str, float],
+    g_m_s2: float,
+    terms: Sequence[str] = DEFAULT,
+    noise: Noise | None = None,
+    *,
+    assumed_u: Mapping[str, float] | None = None,
+) -> TumbleView:
+    """Estimate the terms asked for, of `HOMES`, from the oriented readings; arguments as in `calibrate`.
+
+    Effects of the model are left out: the terms stand in their place. Raises `CalibrationError` where the readings
+    do not determine the twelve coefficients, or a term is unknown.
+    """
+    strange = [term for term in terms if term not in HOMES]
+    if strange or len(set(terms)) < len(terms):
+        raise CalibrationError(f"terms {', '.join(strange or terms)}: each once, of {', '.join(HOMES)}")
+    assumed = dict(assumed_u or {})
+    sizes = {**stand_u, **assumed}
+    rows = usable_rows(readings, model)
+    plain = replace(model, effects=())
+    conditions = rows.conditions()
+    start = first_guess(make_problem(plain, conditions, sizes), rows.signal, rows.resolution)
+    still = make_problem(plain, conditions, {}).stand_matrix(np.zeros(0))
+    force = plain.specific_force(conditions, still, Block(np.eye(3), np.zeros(3)))
+    judged = tuple(separable(force, channel, terms, conditions) for channel in range(3))
+    problem = _problem(plain, make_problem(with_terms(plain, terms), conditions, sizes), judged)
+    fit = gls.fit(problem, rows.signal, start, noise, rows.resolution)
+    require_told(fit.noise)
+    fit_test = replace(gls.lack_of_fit(problem, fit), rms=rms(fit.residuals))
+    axes, through = _quantities(problem, fit, judged, readings.unit)
+    whole = through @ fit.covariance @ through.T
+    whole = 0.5 * (whole + whole.T)
+    shown = whole - _of_assumed(problem, fit, through, assumed)
+    gain = np.einsum("mp,pni->mni", through, fit.gain)
+    moved = _left_out(fit, force, conditions, terms, through, axes)
+    axes = sized(axes, whole, shown)
+    return TumbleView(
+        readings.unit, g_m_s2, fit.block, axes, whole, shown, gain, fit.slope, judged, moved, fit.noise, fit_test,
+        rows,
+    )  # fmt: skip
+
+
+def _of_assumed(problem: Problem, fit: gls.Fit, through: Floats, assumed: Mapping[str, float]) -> Floats:
+    """Return the part (m, m) of the covariance that stand angles of sizes nobody stated bring in."""
+    at = [FIXED + k for k, unknown in enumerate(problem.stand) if STAND_ANGLES[unknown.column] in assumed]
+    if not at:
+        return np.zeros((len(through),) * 2)
+    across = through @ fit.covariance[:, at]
+    return np.asarray(across @ np.linalg.solve(fit.covariance[np.ix_(at, at)], across.T))
+
+
+def with_terms(model: ForwardModel, terms: Sequence[str]) -> ForwardModel:
+    """Return a model with the effects that the terms are of, each once, of size zero."""
+    homes = dict.fromkeys(HOMES[term] for term in terms)
+    return replace(model, effects=tuple(AppliedEffect(CATALOGUE[home], {}) for home in homes))
+
+
+def _problem(plain: ForwardModel, whole: Problem, judged: Sequence[Separable]) -> Problem:
+    """Return the problem with those terms as unknowns that the orientations determine, and no prior on them."""
+    kept = tuple(
+        replace(unknown, prior_u=NO_PRIOR, stated=False)
+        for unknown in whole.effects
+        if unknown.channel is not None and unknown.parameter in judged[unknown.channel].kept
+    )
+    return replace(whole, effects=kept) if kept else replace(whole, model=plain, effects=())
+
+
+Row = tuple[str, float, str, Floats]
+"""Name, value, unit of a quantity, and its derivatives (12 + q,) by the unknowns of the fit."""
+
+
+def _quantities(
+    problem: Problem, fit: gls.Fit, judged: Sequence[Separable], unit: str
+) -> tuple[dict[str, tuple[Quantity, ...]], Floats]:
+    """Return the quantities of each channel, their u still to come, and their derivatives (m, 12 + q)."""
+    rows = [list(_rows(problem, fit, own, channel, unit)) for channel, own in enumerate(judged)]
+    axes = {
+        own.channel: tuple(
+            Quantity(name, value, 0.0, 0.0, of, _contained(own, name, channel))
+            for name, value, of, _ in found
+        )
+        for channel, (own, found) in enumerate(zip(judged, rows, strict=True))
+    }
+    return axes, np.stack([derivative for found in rows for *_, derivative in found])
+
+
+def _rows(problem: Problem, fit: gls.Fit, judged: Separable, channel: int, unit: str) -> Iterator[Row]:
+    """Yield bias, scale factor, the two angles, and the nonlinear terms of a channel."""
+    vector = np.concatenate([fit.block.vector, fit.others])
+    ones = np.eye(len(vector))
+    own, bias = COEFFICIENTS.index(f"K{judged.channel}{judged.channel}"), 9 + channel
+    scale = float(vector[own])
+
+    def part(at: int, sign: float = 1.0) -> tuple[float, Floats]:
+        """A coefficient over the scale factor, with its derivatives."""
+        value = sign * float(vector[at]) / scale
+        return value, sign * ones[at] / scale - value / scale * ones[own]
+
+    value, derivative = part(bias)
+    yield "K0", value, "g", derivative
+    yield "K1", scale, f"{unit}/g", ones[own]
+    for name, (cross, of, sign) in MISALIGNMENTS.items():
+        if of == COEFFICIENTS[own]:
+            value, derivative = part(COEFFICIENTS.index(cross), sign)
+            yield name, value, "rad", derivative
+    first = FIXED + len(problem.stand)
+    for at, unknown in enumerate(problem.effects, first):
+        if unknown.channel == channel:
+            of_term = parameter_of(unknown.parameter).unit.replace("ug", "g")
+            yield unknown.parameter, float(vector[at]), of_term, ones[at]
+
+
+def sized(
+    axes: Mapping[str, Sequence[Quantity]], covariance: Floats, readings: Floats
+) -> dict[str, tuple[Quantity, ...]]:
+    """Return the quantities with u from a covariance (m, m), and from the part of it that the readings show."""
+    u, shown = iter(u_of(covariance).tolist()), iter(u_of(readings).tolist())
+    return {
+        channel: tuple(replace(q, u=next(u), u_readings=next(shown)) for q in own)
+        for channel, own in axes.items()
+    }
+
+
+def _contained(judged: Separable, name: str, channel: int) -> dict[str, float]:
+    """Return what a quantity contains of the terms that are not separable; of an angle with the angle's sign."""
+    if name not in MISALIGNMENTS:
+        return judged.part_in(name)
+    cross, _, sign = MISALIGNMENTS[name]
+    next_axis = CHANNELS[(channel + 1) % 3]
+    of = "Ki_j" if cross[2] == next_axis else "Ki_k"
+    return {term: sign * share for term, share in judged.part_in(of).items()}
+
+
+def _left_out(
+    fit: gls.Fit, force: Floats, conditions: Conditions, terms: Sequence[str], through: Floats,
+    axes: Mapping[str, Sequence[Quantity]],
+) -> dict[str, dict[str, dict[str, float]]]:  # fmt: skip
+    """Return what 1 g/g^n of each term that was not asked for moves, where it moves anything that shows."""
+    others = [term for term in HOMES if term not in terms]
+    moved: dict[str, dict[str, dict[str, float]]] = {}
+    first = 0
+    for channel, letter in enumerate(CHANNELS):
+        own = axes[letter]
+        scale = fit.block.K[channel, channel]
+        shown = columns(force, channel, others, conditions)[:, len(LINEAR) :] * scale
+        shift = through[first : first + len(own)] @ (fit.gain[:, :, channel] @ shown)
+        moved[letter] = {
+            term: {
+                q.name: float(by)
+                for q, by in zip(
+                    own, shift[:, at] / [scale if q.name == "K1" else 1.0 for q in own], strict=True
+                )
+                if abs(by) > MOVES
+            }
+            for at, term in enumerate(others)
+        }
+        first += len(own)
+    return moved
+
+
+NOT_IN_VOLTS: Final = (
+    "the readings are in {unit}, so the errors of this bench's meters are in no uncertainty here: u is what these "
+    "readings show"
+)
+
+
+def combine(
+    view: TumbleView, bench: BenchFile, model: ForwardModel, terms: Sequence[str], day: date | None = None
+) -> TumbleView:
+    """Return the view with the combined covariance; `terms` are those asked for, of which no prior counts.
+
+    `day` is that of the readings: what a certificate states has drifted since its own. The meters' errors are in
+    volts, and so in no result of readings in another unit.
+    """
+    if view.unit != VOLTS:
+        return replace(view, notes=(*view.notes, NOT_IN_VOLTS.format(unit=view.unit)))
+    meters = meters_of([m.channels for m in bench.instruments.voltmeters])
+    taken = Taken(view.fitted, view.block, meters, view.slope)
+    covariance = view.covariance.copy()
+    for error in hidden_sources(bench, with_terms(replace(model, effects=()), terms), day):
+        if error.name != GRAVITY:
+            parts = parts_of(error, taken, view.gain)
+            covariance += parts @ parts.T
+    axes = sized(view.axes, covariance, view.covariance_readings)
+    return replace(view, axes=axes, covariance=covariance, combined=True)

@@ -1,0 +1,355 @@
+"""Sections of a bench file on gravity, stand, block, and on errors that no reading shows."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Final, Literal, Self
+
+from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
+
+from bench.base.forms import FileModel
+from bench.base.units import (
+    ACCELERATION,
+    GRAVITY,
+    RATIO,
+    AccelerationG,
+    AccelerationMS2,
+    AngleRad,
+    LengthM,
+    QuantityKind,
+    ScaleFactor,
+    SizeRad,
+    SizeV,
+    SpanS,
+    not_negative,
+)
+from bench.config.bench_file.rails import UnitSupplySection
+from bench.config.devices.certificates import Day
+from bench.config.devices.sections import SizeK, TemperatureRange
+from bench.model.distribution import Distribution
+from bench.model.geometry import Installation, normal_gravity_m_s2
+
+LARGEST_RAD: Final = math.radians(2.0)
+"""An error of the stand has no larger limit: one in a hundred of g along a level axis is 0.6 deg."""
+
+SizeG = Annotated[float, not_negative(ACCELERATION)]
+
+
+# --- gravity ----------------------------------------------------------------------------------------
+
+
+class Location(FileModel):
+    """Where the bench stands, for the WGS 84 formula."""
+
+    latitude: AngleRad
+    height: LengthM = 0.0
+
+    @field_validator("latitude")
+    @classmethod
+    def _on_earth(cls, latitude_rad: float) -> float:
+        normal_gravity_m_s2(latitude_rad)
+        return latitude_rad
+
+    @field_validator("height")
+    @classmethod
+    def _on_the_ground(cls, height_m: float) -> float:
+        if not -500.0 <= height_m <= 9000.0:
+            raise ValueError(f"a bench stands between -500 m and 9000 m, not at {height_m:g} m")
+        return height_m
+
+
+def _plausible_gravity(g_m_s2: float) -> float:
+    if not 9.75 <= g_m_s2 <= 9.85:
+        raise ValueError(f"local gravity lies between 9.75 and 9.85 m/s^2, not at {g_m_s2:g} m/s^2")
+    return g_m_s2
+
+
+class MeasuredGravity(FileModel):
+    """A value of local gravity with who found it when, and its expanded uncertainty U = k u."""
+
+    value: Annotated[AccelerationMS2, AfterValidator(_plausible_gravity)]
+    source: str
+    date: Day
+    U: Annotated[float, not_negative(GRAVITY)]
+    k: Annotated[float, Field(gt=0.0)]
+    dof: Annotated[float, Field(gt=0.0)] = float("inf")
+
+
+def _form_of_gravity(written: Any) -> str:
+    if isinstance(written, MeasuredGravity) or (isinstance(written, dict) and "value" in written):
+        return "gravity with its source"
+    return "location of gravity" if isinstance(written, dict | Location) else "value of gravity"
+
+
+Gravity = Annotated[
+    Annotated[AccelerationMS2, AfterValidator(_plausible_gravity), Tag("value of gravity")]
+    | Annotated[Location, Tag("location of gravity")]
+    | Annotated[MeasuredGravity, Tag("gravity with its source")],
+    Discriminator(_form_of_gravity),
+]
+
+
+# --- stand ------------------------------------------------------------------------------------------
+
+
+class ErrorSize(FileModel):
+    """Limit of an error with its distribution; a normal one needs the coverage factor k.
+
+    `dof` are the degrees of freedom of the limit, where it was found from repeats; left out, it is certain.
+    """
+
+    limit: float
+    distribution: Literal["normal", "rectangular"]
+    k: Annotated[float, Field(gt=0.0)] | None = None
+    dof: Annotated[float, Field(gt=0.0)] = float("inf")
+
+    @model_validator(mode="after")
+    def _k_where_normal(self) -> ErrorSize:
+        if self.distribution == "normal" and self.k is None:
+            raise ValueError("a normal distribution needs k: how many standard deviations the limit is")
+        if self.distribution == "rectangular" and self.k is not None:
+            raise ValueError("a rectangular distribution has no k; leave it out")
+        return self
+
+    def to_distribution(self) -> Distribution:
+        """Return the distribution, in SI."""
+        return Distribution(self.limit, self.distribution, 1.0 if self.k is None else self.k)
+
+
+def _of_a_bench(limit_rad: float) -> float:
+    if limit_rad > LARGEST_RAD:
+        raise ValueError(
+            f"an error of {math.degrees(limit_rad):.3g} deg is no limit of a bench, which is "
+            f"{math.degrees(LARGEST_RAD):g} deg at most; are arcsec or arcmin meant?"
+        )
+    return limit_rad
+
+
+class AngleError(ErrorSize):
+    """An angle of the stand, rad: so small that its sine is the angle."""
+
+    limit: Annotated[SizeRad, AfterValidator(_of_a_bench)]
+
+
+class VoltageError(ErrorSize):
+    """An error in volts."""
+
+    limit: SizeV
+
+
+class StandSection(FileModel):
+    """The stand errors, alpha1…alpha4 and Delta U_M of the paper.
+
+    A mounting roll that is not stated counts as large as the mounting error, a mounting offset as zero.
+    `foundation` is by how much the levelled platform tilts in a day. A levelling in a run takes the place of
+    `axis_tilt` and `zero_offset` in its mounting.
+    """
+
+    axis_tilt: AngleError
+    zero_offset: AngleError
+    mounting_error: AngleError
+    setting_error: AngleError
+    voltmeter_error: VoltageError
+    mounting_roll: AngleError | None = None
+    mounting_offset: AngleError | None = None
+    foundation: AngleError | None = None
+
+
+class InstallationSection(FileModel):
+    """The platform axis along which each block axis lies, and a turn of the block about a platform axis."""
+
+    axes: Annotated[tuple[str, ...], Field(min_length=3, max_length=3)]
+    turned: AngleRad = 0.0
+    about: Literal["x", "y", "z"] = "z"
+
+    @field_validator("axes")
+    @classmethod
+    def _right_handed(cls, axes: tuple[str, ...]) -> tuple[str, ...]:
+        Installation.from_axes("", axes)
+        return axes
+
+    def to_model(self, label: str) -> Installation:
+        """Return the installation of the forward model."""
+        return Installation.from_axes(label, self.axes, self.turned, self.about)
+
+
+# --- the block --------------------------------------------------------------------------------------
+
+
+class ScaleFactors(FileModel):
+    """Nominal scale factors with their signs, V/g."""
+
+    x: ScaleFactor
+    y: ScaleFactor
+    z: ScaleFactor
+
+    @field_validator("x", "y", "z")
+    @classmethod
+    def _not_zero(cls, scale_v_g: float) -> float:
+        if scale_v_g == 0.0:
+            raise ValueError("a scale factor is not zero")
+        return scale_v_g
+
+    @property
+    def values(self) -> tuple[float, float, float]:
+        """The three, V/g."""
+        return self.x, self.y, self.z
+
+
+class UnitUnderTest(FileModel):
+    """The block: identity, nominal scale factors, measuring range, temperatures it may be given, its supply."""
+
+    type: str
+    serial: str
+    scale_factors: ScaleFactors
+    range: AccelerationG
+    temperature: TemperatureRange
+    supply: UnitSupplySection | None = None
+
+
+class PopulationSection(FileModel):
+    """What is known of Δg over many blocks of this type, before one is measured: a normal distribution."""
+
+    mean: AccelerationG = 0.0
+    standard_deviation: SizeG
+
+    @field_validator("standard_deviation")
+    @classmethod
+    def _more_than_none(cls, size_g: float) -> float:
+        if size_g == 0.0:
+            raise ValueError(
+                "blocks that are all alike need no verification; state a standard deviation above zero"
+            )
+        return size_g
+
+
+class StatedRule(FileModel):
+    """A decision rule as a file states it; the guard band is so many times U (of the non-binary if unnamed)."""
+
+    rule: Literal["simple acceptance", "guarded", "non-binary"] | None = None
+    guard_band: Annotated[float, Field(gt=0.0)] | None = None
+
+    @property
+    def names_a_rule(self) -> bool:
+        """Whether it says how a verdict is found; else the default rule holds."""
+        return self.rule is not None or self.guard_band is not None
+
+    @model_validator(mode="after")
+    def _band_with_its_rule(self) -> Self:
+        if self.rule == "simple acceptance" and self.guard_band is not None:
+            raise ValueError(
+                "simple acceptance takes no guard band off the limit; leave it out, or say rule: guarded"
+            )
+        return self
+
+
+class VerificationSection(StatedRule):
+    """Delta g_A: how far the measured modulus of gravity may be from 1 g, and how the verdict is found."""
+
+    limit: SizeG
+    population: PopulationSection | None = None
+
+
+BIAS_PER_K: Final = QuantityKind("a temperature coefficient of the bias", "30 ug/K", "g/K")
+SCALE_PER_K: Final = QuantityKind("a temperature coefficient of the scale factor", "180 ppm/K", "1/K")
+BIAS_PER_V: Final = QuantityKind("a supply coefficient of the bias", "20 ug/V", "g/V")
+SCALE_PER_V: Final = QuantityKind("a supply coefficient of the scale factor", "20 ppm/V", "1/V")
+BIAS: Final = QuantityKind("a bias", "20 ug", "g")
+QUADRATIC: Final = QuantityKind("a quadratic nonlinearity", "30 ug/g^2", "g/g^2")
+CUBIC: Final = QuantityKind("a cubic nonlinearity", "20 ug/g^3", "g/g^3")
+
+
+class RatioError(ErrorSize):
+    """A relative error."""
+
+    limit: Annotated[float, not_negative(RATIO)]
+
+
+class GravityError(ErrorSize):
+    """An error of local gravity, m/s²."""
+
+    limit: Annotated[float, not_negative(GRAVITY)]
+
+
+class TemperatureError(ErrorSize):
+    """How far the temperature of the block is from that of the calibration, K: throughout a run, as an offset.
+
+    Where the block's temperature wanders within the limit, `correlation_time` says in what time it forgets where it
+    was; only then do readings average it.
+    """
+
+    limit: SizeK
+    correlation_time: SpanS | None = None
+
+    @field_validator("correlation_time")
+    @classmethod
+    def _lasts(cls, time_s: float | None) -> float | None:
+        if time_s == 0.0:
+            raise ValueError(
+                "expected more than nothing; leave it out where the offset stays throughout a run"
+            )
+        return time_s
+
+
+class BiasPerKelvin(ErrorSize):
+    """A temperature coefficient of the bias, g/K."""
+
+    limit: Annotated[float, not_negative(BIAS_PER_K)]
+
+
+class ScalePerKelvin(ErrorSize):
+    """A temperature coefficient of the scale factor, 1/K."""
+
+    limit: Annotated[float, not_negative(SCALE_PER_K)]
+
+
+class BiasPerVolt(ErrorSize):
+    """How the bias follows the voltage of a rail, g/V."""
+
+    limit: Annotated[float, not_negative(BIAS_PER_V)]
+
+
+class ScalePerVolt(ErrorSize):
+    """How the scale factor follows the voltage of a rail, 1/V."""
+
+    limit: Annotated[float, not_negative(SCALE_PER_V)]
+
+
+class BiasError(ErrorSize):
+    """How a bias differs from one switching-on to another, g."""
+
+    limit: Annotated[float, not_negative(BIAS)]
+
+
+class QuadraticError(ErrorSize):
+    """K2 of a channel, in g per g²."""
+
+    limit: Annotated[float, not_negative(QUADRATIC)]
+
+
+class CubicError(ErrorSize):
+    """K3 of a channel, in g per g³."""
+
+    limit: Annotated[float, not_negative(CUBIC)]
+
+
+class UncertaintySection(FileModel):
+    """What is known of the errors that the readings do not show; what is left out has a default.
+
+    The defaults of the voltmeters are their makers' limits, that of the temperature the chamber's band, that of the
+    rails' voltages their tolerance; temperature and voltages are off by as much throughout a run.
+    """
+
+    voltmeter_gain: RatioError | None = None
+    voltmeter_offset: VoltageError | None = None
+    voltmeter_linearity: VoltageError | None = None
+    gravity: GravityError | None = None
+    temperature: TemperatureError | None = None
+    bias_temperature_coefficient: BiasPerKelvin | None = None
+    scale_temperature_coefficient: ScalePerKelvin | None = None
+    supply_voltage: VoltageError | None = None
+    bias_supply_coefficient: BiasPerVolt | None = None
+    scale_supply_coefficient: ScalePerVolt | None = None
+    turn_on_repeatability: BiasError | None = None
+    K2: QuadraticError | None = None
+    K3: CubicError | None = None

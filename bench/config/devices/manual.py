@@ -1,0 +1,234 @@
+"""A head, a chamber, a level, a thermometer and a power supply that a person works."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from bench.base.forms import FileModel
+from bench.base.units import Ratio, SizeA, SizeRad, TemperatureC, VoltageV
+from bench.config.devices.device import Device
+from bench.config.devices.sections import (
+    OF_THE_UNIT,
+    ChamberForm,
+    HeadForm,
+    LevelForm,
+    SizeK,
+    SupplyForm,
+    TemperatureRange,
+    ThermometerForm,
+)
+from drivers.interfaces import OutputLimits, SupplyLimits
+
+
+class ManualHeadSection(HeadForm):
+    """A head that a person turns: value of a division of its scale, how far a reading may be from its target.
+
+    Where `enter_accepts_target`, Enter alone says that the head stands at the target; else the angle is typed.
+    """
+
+    by_hand: ClassVar = True
+
+    driver: Literal["manual-head"]
+    scale_division: SizeRad
+    enter_accepts_target: bool = True
+
+    @model_validator(mode="after")
+    def _readable(self) -> ManualHeadSection:
+        if self.tolerance < self.scale_division / 2:
+            raise ValueError("the tolerance is less than half a division of the scale: no reading would pass")
+        return self
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return how far a reading may be from its target, and what Enter says."""
+        return {"tolerance_rad": self.tolerance, "enter_accepts_target": self.enter_accepts_target}
+
+
+class ManualChamberSection(ChamberForm):
+    """A chamber that a person sets and reads. `safe` is what it is set to after a run, off where left out."""
+
+    by_hand: ClassVar = True
+
+    driver: Literal["manual-chamber"]
+    safe: TemperatureC | None = None
+
+    @model_validator(mode="after")
+    def _can_be_safe(self) -> ManualChamberSection:
+        if self.safe is not None:
+            self.refuse_outside(self.safe, "the safe setting")
+        return self
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return its limits and the safe setting."""
+        return {"minimum_c": self.minimum, "maximum_c": self.maximum, "safe_c": self.safe}
+
+
+class ManualLevelSection(LevelForm):
+    """A bubble level that a person lays along the shaft and across it, and reads.
+
+    `division` is the value of a graduation of the vial, which has `divisions` to either side and is read to the
+    part `reading` of one (1 σ). `scale` is how well the value of a graduation is known, `turn` how well the level
+    is laid along an axis and turned end for end (1 σ).
+    """
+
+    by_hand: ClassVar = True
+
+    driver: Literal["manual-level"]
+    division: SizeRad
+    reading: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
+    divisions: Annotated[float, Field(gt=0.0, le=100.0)] = 10.0
+    scale: Annotated[Ratio, Field(ge=0.0, lt=1.0)] = 0.05
+    turn: SizeRad = math.radians(1.0)
+
+    @field_validator("division")
+    @classmethod
+    def _has_divisions(cls, division_rad: float) -> float:
+        if division_rad == 0.0:
+            raise ValueError("a vial has divisions: expected the value of one such as '5 arcsec'")
+        return division_rad
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return what a division is, and how well it is read."""
+        return {
+            "division_rad": self.division,
+            "reading_divisions": self.reading,
+            "most_divisions": self.divisions,
+            "scale": self.scale,
+            "turn_rad": self.turn,
+        }
+
+
+class ManualThermometerSection(TemperatureRange, ThermometerForm):
+    """A thermometer at the block that a person reads at each mounting; `tolerance` is the limit of its error."""
+
+    by_hand: ClassVar = True
+
+    driver: Literal["manual-thermometer"]
+    tolerance: SizeK = 0.5
+    sensor: str = "read by a person"
+
+    @property
+    def tolerance_k(self) -> float:
+        """As stated, K."""
+        return self.tolerance
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return its range, and what it is called in the record."""
+        return {"minimum_c": self.minimum, "maximum_c": self.maximum, "sensor": self.sensor}
+
+
+class ManualOutput(FileModel):
+    """An output of a supply: its voltages, its highest current, the last digits of its display.
+
+    `over_voltage` is the highest setting of its over-voltage protection, left out where it has none.
+    """
+
+    minimum: VoltageV = 0.0
+    maximum: VoltageV
+    current: SizeA
+    over_voltage: VoltageV | None = None
+    voltage_digit: VoltageV = 0.01
+    current_digit: SizeA = 0.001
+
+    @model_validator(mode="after")
+    def _can_be_set(self) -> ManualOutput:
+        if self.minimum >= self.maximum:
+            raise ValueError(f"the minimum {self.minimum:g} V is not below the maximum {self.maximum:g} V")
+        if self.current == 0.0 or self.voltage_digit <= 0.0 or self.current_digit == 0.0:
+            raise ValueError("expected more than nothing: an output gives a current, a display has digits")
+        return self
+
+    def limits(self) -> OutputLimits:
+        """Return what the output can do."""
+        highest_v = self.over_voltage
+        protection_v = None if highest_v is None else (min(0.0, highest_v), max(0.0, highest_v))
+        return OutputLimits(
+            (self.minimum, self.maximum),
+            (0.0, self.current),
+            self.voltage_digit,
+            self.current_digit,
+            protection_v,
+            self.voltage_digit,
+        )
+
+
+class ManualSupplySection(SupplyForm):
+    """A power supply that a person sets, reads and switches; `outputs` by the names on its front panel.
+
+    What an output gives may be `tolerance` from what it is set to.
+    """
+
+    by_hand: ClassVar = True
+
+    driver: Literal["manual-supply"]
+    outputs: Annotated[dict[str, ManualOutput], Field(min_length=1)]
+    tolerance: VoltageV = 0.1
+
+    @field_validator("tolerance")
+    @classmethod
+    def _more_than_nothing(cls, tolerance_v: float) -> float:
+        if tolerance_v <= 0.0:
+            raise ValueError("expected more than nothing: no output is exact")
+        return tolerance_v
+
+    @property
+    def limits(self) -> SupplyLimits:
+        """What its outputs can do."""
+        return SupplyLimits({name: output.limits() for name, output in self.outputs.items()})
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return what it can do, and how far what it gives may be from that."""
+        return {"limits": self.limits, "tolerance_v": self.tolerance}
+
+
+DEVICE = (
+    Device(
+        "manual-head",
+        ManualHeadSection,
+        driver="drivers.manual.head:ManualHead",
+        simulation=None,
+        example={"scale_division": "1 arcsec", "tolerance": "30 arcsec", "enter_accepts_target": False},
+        place=0,
+    ),
+    Device(
+        "manual-chamber",
+        ManualChamberSection,
+        driver="drivers.manual.chamber:ManualChamber",
+        simulation=None,
+        example={"minimum": "-60 degC", "maximum": "100 degC"},
+        place=0,
+    ),
+    Device(
+        "manual-level",
+        ManualLevelSection,
+        driver="drivers.manual.level:ManualLevel",
+        simulation=None,
+        example={"division": "5 arcsec"},
+        simulated=("zero_along", "zero_across", "noise", "scale"),
+        place=0,
+    ),
+    Device(
+        "manual-thermometer",
+        ManualThermometerSection,
+        driver="drivers.manual.chamber:ManualThermometer",
+        simulation=None,
+        example={"minimum": "-60 degC", "maximum": "150 degC"},
+        place=0,
+    ),
+    Device(
+        "manual-supply",
+        ManualSupplySection,
+        driver="drivers.manual.supply:ManualSupply",
+        simulation=None,
+        example={
+            "outputs": {
+                "+": {"maximum": "30 V", "current": "3 A", "over_voltage": "33 V"},
+                "-": {"minimum": "-30 V", "maximum": "0 V", "current": "3 A", "over_voltage": "-33 V"},
+            }
+        },
+        simulated=OF_THE_UNIT,
+        place=0,
+    ),
+)

@@ -1,0 +1,244 @@
+"""The instruments there are: those of this folder, of installed distributions, of folders of the user's.
+
+A distribution has the entry-point group `triaxial_bench.devices`, each entry a `Device` or a module with one. A
+folder is named by the environment (`BENCH_DEVICES`, several with the system's path separator) or by `--devices`,
+never by a bench file: what stands in it is run. Each module and package directly in it that has a `DEVICE` brings
+one; they import one another relatively (`from .facts import …`).
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import importlib.metadata
+import importlib.util
+import os
+import pkgutil
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from hashlib import sha256
+from pathlib import Path
+from types import ModuleType
+from typing import Annotated, Any, Final, Literal, Union, get_args
+
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, create_model
+
+from bench.config.devices import FOLDERS
+from bench.config.devices.device import WIRE_FACTS, Device, DeviceSection, Role, WiredForm
+from bench.config.devices.sections import SUPPLY_FACTS, SupplyForm
+from bench.config.devices.unknown import OF_ROLE
+from bench.config.devices.voltmeters import VOLTMETER_FACTS, VoltmeterForm
+
+GROUP: Final = "triaxial_bench.devices"
+
+_HERE: Final = __name__.rpartition(".")[0]
+
+
+@dataclass
+class Devices:
+    """All that were found: by name each with the place it came from, and what could not be had."""
+
+    found: dict[str, Device] = field(default_factory=dict)
+    places: dict[str, str] = field(default_factory=dict)
+    doubled: dict[str, str] = field(default_factory=dict)
+    """By name the sentence about two devices that share it: neither is taken."""
+    troubles: list[str] = field(default_factory=list)
+    """A sentence for each module that could not be had."""
+
+    def get(self, name: object) -> Device | None:
+        """Return the device of a name, None where there is none."""
+        return self.found.get(name) if isinstance(name, str) else None
+
+    def of(self, role: Role) -> list[Device]:
+        """Return the devices of a role in the order in which they are listed."""
+        return self._by_role[role]
+
+    def adapter(self, role: Role) -> TypeAdapter[DeviceSection]:
+        """Return what validates a section of this role by its `driver`, which is known."""
+        return self._adapters[role]
+
+    def origin(self, name: str) -> str | None:
+        """Return where a device came from: a file, a distribution; None for one of the bench itself."""
+        place = self.places.get(name, "")
+        return None if place.startswith(str(Path(__file__).parent) + os.sep) else place
+
+    def why_not(self, name: object) -> str | None:
+        """Return why a name cannot be had where that is more than that nobody has it."""
+        if not isinstance(name, str) or name in self.found:
+            return None
+        if name in self.doubled:
+            return self.doubled[name]
+        return f"no driver '{name}' is known, and {'; '.join(self.troubles)}" if self.troubles else None
+
+    @cached_property
+    def _by_role(self) -> dict[Role, list[Device]]:
+        listed = sorted(self.found.values(), key=lambda device: (device.place, device.name))
+        return {role: [d for d in listed if d.role == role] for role in get_args(Role)}
+
+    @cached_property
+    def _adapters(self) -> dict[Role, TypeAdapter[DeviceSection]]:
+        return {
+            role: TypeAdapter(_union(tuple(device.section for device in known)))
+            for role, known in self._by_role.items()
+        }
+
+    def add(self, device: Device, place: str) -> None:
+        """Take a device in; a name that is there already is not to be had any more."""
+        wrong = _wrong_declaration(device)
+        if wrong:
+            self.troubles.append(f"{place} is not to be used: {wrong}")
+        elif device.name in self.places:
+            first = self.places[device.name]
+            self.doubled[device.name] = (
+                f"the driver '{device.name}' is brought by {first} and by {place}; take one of them away"
+            )
+            self.found.pop(device.name, None)
+        else:
+            self.found[device.name], self.places[device.name] = device, place
+
+
+def devices() -> Devices:
+    """Return the instruments there are, for the folders that the environment names now."""
+    return _loaded(tuple(folder for folder in os.environ.get(FOLDERS, "").split(os.pathsep) if folder))
+
+
+@lru_cache(maxsize=8)
+def _loaded(folders: tuple[str, ...]) -> Devices:
+    result = Devices()
+    for module in pkgutil.iter_modules(importlib.import_module(_HERE).__path__):
+        _take(result, f"{_HERE}.{module.name}", str(Path(__file__).parent / module.name))
+    for entry in importlib.metadata.entry_points(group=GROUP):
+        _take_entry(result, entry)
+    for folder in folders:
+        for name, place in _modules_of(result, Path(folder).expanduser().absolute()):
+            _take(result, name, place)
+    return result
+
+
+def _modules_of(result: Devices, folder: Path) -> Iterator[tuple[str, str]]:
+    """Yield name and place of each module directly in a folder; the folder becomes a package of its own."""
+    if not folder.is_dir():
+        result.troubles.append(f"there is no folder of devices {folder}")
+        return
+    package = f"_devices_{sha256(str(folder).encode()).hexdigest()[:12]}"
+    if package not in sys.modules:
+        made = ModuleType(package)
+        made.__path__ = [str(folder)]
+        sys.modules[package] = made
+        importlib.invalidate_caches()
+    for module in sorted(pkgutil.iter_modules([str(folder)]), key=lambda module: module.name):
+        yield f"{package}.{module.name}", str(folder / module.name)
+
+
+def _take(result: Devices, name: str, place: str) -> None:
+    """Import a module and take its device, if it has one."""
+    try:
+        module = importlib.import_module(name)
+    except (Exception, SystemExit) as error:
+        place = f"{place}.py" if Path(f"{place}.py").is_file() else place
+        result.troubles.append(f"{place} cannot be loaded ({type(error).__name__}: {error})")
+        return
+    _take_from(result, module, str(module.__file__))
+
+
+def _take_from(result: Devices, module: ModuleType, place: str) -> None:
+    device = getattr(module, "DEVICE", ())
+    for one in device if isinstance(device, tuple) else (device,):
+        if isinstance(one, Device):
+            result.add(replace(one, package=module.__package__ or ""), place)
+        else:
+            result.troubles.append(
+                f"{place} is not to be used: its DEVICE is no bench.config.devices.device.Device"
+            )
+
+
+def _take_entry(result: Devices, entry: importlib.metadata.EntryPoint) -> None:
+    dist = entry.dist
+    place = f"the distribution {dist.name} {dist.version}" if dist else f"the entry point {entry.name}"
+    try:
+        loaded = entry.load()
+    except (Exception, SystemExit) as error:
+        result.troubles.append(f"{place} cannot be loaded ({type(error).__name__}: {error})")
+        return
+    if isinstance(loaded, Device):
+        result.add(replace(loaded, package=loaded.package or entry.module.rpartition(".")[0]), place)
+    else:
+        _take_from(result, loaded, place)
+
+
+def _wrong_declaration(device: Device) -> str | None:
+    section = device.section
+    if (
+        not isinstance(section, type)
+        or not issubclass(section, DeviceSection)
+        or not hasattr(section, "role")
+    ):
+        return f"the section of '{device.name}' has no role that a bench knows"
+    stated = get_args(section.model_fields["driver"].annotation)
+    if stated != (device.name,):
+        return f"the section of '{device.name}' does not have driver: Literal['{device.name}']"
+    if issubclass(section, WiredForm):
+        of_role = [VOLTMETER_FACTS] if issubclass(section, VoltmeterForm) else []
+        of_role += [SUPPLY_FACTS] if issubclass(section, SupplyForm) else []
+        needed = sum(of_role, WIRE_FACTS)
+        lacking = [name for name in needed if not hasattr(getattr(section, "facts", None), name)]
+        if lacking:
+            return f"the facts of '{device.name}' lack {', '.join(lacking)}"
+    return None
+
+
+def _union(sections: tuple[type[DeviceSection], ...]) -> Any:
+    return Annotated[Union[sections], Field(discriminator="driver")]  # noqa: UP007 - of as many as there are
+
+
+def chosen_by_driver(role: Role, *, recorded: bool = False) -> BeforeValidator:
+    """Return the validator that makes of a section as written that of its driver.
+
+    Of a driver that is not known it tells alone, with where it stands and which is near, or why it cannot be
+    had; where the bench file was `recorded` with a run, the section is then kept as it is written.
+    """
+
+    def choose(written: object) -> object:
+        return _validated(written, role, recorded) if isinstance(written, dict) else written
+
+    return BeforeValidator(choose)
+
+
+def unknown_drivers(sections: Iterable[object]) -> list[str]:
+    """Return the drivers of sections as written that are not known."""
+    stated = [section.get("driver") for section in sections if isinstance(section, dict)]
+    return sorted({name for name in stated if isinstance(name, str) and devices().get(name) is None})
+
+
+def _validated(written: dict[str, Any], role: Role, recorded: bool) -> DeviceSection:
+    known = devices()
+    driver = written.get("driver")
+    if recorded and unknown_drivers([written]):
+        return OF_ROLE[role].model_validate(written)
+    if known.get(driver) not in known.of(role):
+        names = tuple(device.name for device in known.of(role))
+        _refuse_driver(written, known.why_not(driver) or _strange(driver, names), names)
+    return known.adapter(role).validate_python(written)
+
+
+def _strange(driver: object, names: tuple[str, ...]) -> str | None:
+    """Return what to say of a name that is like none of those known: it may be a device of the user's own."""
+    if not isinstance(driver, str) or difflib.get_close_matches(driver, names, n=1, cutoff=0.5):
+        return None
+    return (
+        f"expected {', '.join(names[:-1])} or {names[-1]}, got '{driver}'; an instrument of your own is found in "
+        "the folder that --devices DIR or BENCH_DEVICES names"
+    )
+
+
+def _refuse_driver(written: dict[str, Any], reason: str | None, names: tuple[str, ...]) -> None:
+    """Raise the error for a driver that is missing or not among the names."""
+
+    def refuse(_: str) -> str:
+        raise ValueError(reason)
+
+    kind: Any = Literal[names] if reason is None else Annotated[str, AfterValidator(refuse)]
+    fields: dict[str, Any] = {"driver": (kind, ...)}
+    create_model("Named", __config__=ConfigDict(extra="ignore"), **fields).model_validate(written)

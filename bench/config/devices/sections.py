@@ -1,0 +1,308 @@
+"""Sections of a bench file for heads, chambers, levels, thermometers and power supplies."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, ClassVar, Final
+
+from pydantic import AfterValidator, Field, field_validator, model_validator
+
+from bench.base.arrays import ARCSEC
+from bench.base.forms import FileModel
+from bench.base.units import (
+    DIFFERENCE,
+    AngleRad,
+    QuantityKind,
+    Ratio,
+    SizeA,
+    SizeRad,
+    SpanS,
+    TemperatureC,
+    VoltageV,
+    not_negative,
+    reads,
+)
+from bench.config.devices.certificates import ChamberCertificate, HeadCertificate
+from bench.config.devices.device import DeviceSection, Role, WiredForm, any_resource
+from drivers.interfaces.supply import SupplyLimits
+
+SPEED: Final = QuantityKind("a speed of turning", "10 deg/s", "rad/s")
+
+SpeedRadS = Annotated[float, not_negative(SPEED)]
+
+
+class HeadTruth(FileModel):
+    """A simulated motorised head: homed when it is switched on or not, with an encoder to notice being stuck."""
+
+    homed: bool = True
+    encoder: bool = True
+
+
+class HeadForm(DeviceSection):
+    """What every head is told: how far the angle at a reading may be from its target."""
+
+    role: ClassVar[Role] = "head"
+    scale_on_axis: ClassVar[bool] = False
+    """Whether what it reads sits on the axis that turns the block, with no gear or coupling between them."""
+
+    name: str = "head"
+    tolerance: SizeRad
+    certificate: HeadCertificate | None = None
+
+
+class MotorisedHeadForm(HeadForm, WiredForm):
+    """A head with a motor. It stays within `minimum` and `maximum` on its scale, also on the way.
+
+    It comes to an angle from at least `backoff` away, on the side that the procedure demands, and has arrived
+    when for the time `settle` every sample of its scale lies within `tolerance`. `speed` decides how long a
+    turn may take.
+    """
+
+    minimum: AngleRad
+    maximum: AngleRad
+    speed: SpeedRadS
+    backoff: SizeRad = math.radians(1.0)
+    settle: SpanS = 2.0
+
+    @field_validator("tolerance", "speed")
+    @classmethod
+    def _more_than_nothing(cls, size: float) -> float:
+        if size == 0.0:
+            raise ValueError("expected more than nothing: no head is exact, and none turns without a speed")
+        return size
+
+    @model_validator(mode="after")
+    def _can_turn(self) -> MotorisedHeadForm:
+        low, high = (f"{math.degrees(angle_rad):g}°" for angle_rad in (self.minimum, self.maximum))
+        if self.minimum + 2.0 * self.backoff >= self.maximum:
+            raise ValueError(
+                f"between the minimum {low} and the maximum {high} no angle can be come to from both sides, "
+                f"backing off by {math.degrees(self.backoff):g}°"
+            )
+        if self.backoff <= self.tolerance:
+            raise ValueError("the head must back off by more than its tolerance")
+        return self
+
+    def travel(self) -> dict[str, float]:
+        """Return how the head may move and when it has arrived, as its driver has it (`drivers.motion.Travel`)."""
+        return {
+            "minimum_rad": self.minimum,
+            "maximum_rad": self.maximum,
+            "tolerance_rad": self.tolerance,
+            "speed_rad_s": self.speed,
+            "backoff_rad": self.backoff,
+            "settle_s": self.settle,
+        }
+
+    def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
+        """Return what every simulated head is given."""
+        return {"speed_deg_s": math.degrees(self.speed)}
+
+
+TEMPERATURE_RATE: Final = QuantityKind("a rate of temperature", "4 K/min", "K/s")
+
+SizeK = Annotated[float, not_negative(DIFFERENCE)]
+RateKS = Annotated[float, not_negative(TEMPERATURE_RATE)]
+
+OF_THE_AIR: Final = ("rate", "lag", "off_lag")
+"""What the simulated world does with the air of any chamber that is simulated."""
+
+
+class ChamberTruth(FileModel):
+    """A simulated chamber with a controller: how fast it takes its air along, how it drifts back when off.
+
+    `lag` is how far the air is behind; `sensor_noise` the standard deviation of what its sensor shows.
+    """
+
+    rate: RateKS = 4.0 / 60.0
+    lag: SpanS = 120.0
+    off_lag: SpanS = 3600.0
+    sensor_noise: SizeK = 0.0
+
+    @field_validator("rate", "lag", "off_lag")
+    @classmethod
+    def _more_than_nothing(cls, size: float) -> float:
+        if size == 0.0:
+            raise ValueError("expected more than nothing: no chamber is at once where it is sent, nor never")
+        return size
+
+
+class TemperatureRange(FileModel):
+    """Lowest and highest temperature, °C."""
+
+    minimum: TemperatureC
+    maximum: TemperatureC
+
+    @model_validator(mode="after")
+    def _in_order(self) -> TemperatureRange:
+        if self.minimum >= self.maximum:
+            raise ValueError(f"the minimum {self.minimum:g} °C is not below the maximum {self.maximum:g} °C")
+        return self
+
+    def refuse_outside(self, temperature_c: float, what: str) -> None:
+        """Raise `ValueError` for a temperature outside."""
+        if not self.minimum <= temperature_c <= self.maximum:
+            raise ValueError(
+                f"{what} of {temperature_c:g} °C is outside {self.minimum:g} to {self.maximum:g} °C"
+            )
+
+
+class ChamberForm(TemperatureRange, DeviceSection):
+    """What every chamber is told: the temperatures that may be demanded.
+
+    `certificate` is that of the thermometer by which the temperature is told.
+    """
+
+    role: ClassVar[Role] = "chamber"
+
+    name: str = "chamber"
+    certificate: ChamberCertificate | None = None
+
+
+class ControlledChamberForm(ChamberForm, WiredForm):
+    """A chamber with a controller; at a reading its air is within `band` of the demand, where one is stated.
+
+    One that has not gone a fifth of its way `slow_after` a demand is told of.
+    """
+
+    band: SizeK | None = None
+    slow_after: SpanS = 300.0
+
+    @field_validator("band")
+    @classmethod
+    def _has_width(cls, band_k: float | None) -> float | None:
+        if band_k == 0.0:
+            raise ValueError("the band is more than nothing: no air keeps its temperature exactly")
+        return band_k
+
+    @field_validator("slow_after")
+    @classmethod
+    def _later(cls, slow_after_s: float) -> float:
+        if slow_after_s == 0.0:
+            raise ValueError("expected a while such as 5 min: at once no air has moved")
+        return slow_after_s
+
+    def limits(self) -> tuple[float, float, float | None]:
+        """Return lowest and highest demand and the band (`drivers.chambers.ChamberLimits`), °C."""
+        return self.minimum, self.maximum, self.band
+
+    def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
+        """Return what every simulated chamber is given: what its own controller allows."""
+        return {"lowest_c": self.minimum, "highest_c": self.maximum}
+
+
+class LevelTruth(FileModel):
+    """A simulated level: how far its zero is off along the shaft and across, its noise (1 σ), its scale's error."""
+
+    zero_along: AngleRad = 20.0 * ARCSEC
+    zero_across: AngleRad = -12.0 * ARCSEC
+    noise: SizeRad = 1.0 * ARCSEC
+    scale: Ratio = 0.0
+
+
+class LevelForm(DeviceSection):
+    """What every level is told: its name. Its zero need not be known: it is read in two positions."""
+
+    role: ClassVar[Role] = "level"
+    certificate: ClassVar[None] = None
+    """Of a level none is counted: what matters of its scale at a few arcseconds is less than it reads to."""
+
+    name: str = "level"
+
+
+class ThermometerTruth(FileModel):
+    """A simulated thermometer at the block: what it is off by, its noise (1 σ), how much of the air it feels."""
+
+    error: Annotated[float, reads(DIFFERENCE)] = 0.0
+    noise: SizeK = 0.005
+    air_share: Annotated[Ratio, Field(ge=0.0, le=1.0)] = 0.0
+
+
+class ThermometerForm(DeviceSection):
+    """What every thermometer at the block is told; what it shows is the block's temperature of each reading.
+
+    `gradient` is how far the block's accelerometers may be from where it sits, ±0.2 K where it is left out. Without
+    a `certificate` it is as exact as its kind.
+    """
+
+    role: ClassVar[Role] = "thermometer"
+
+    name: str = "thermometer"
+    gradient: SizeK | None = None
+    certificate: ChamberCertificate | None = None
+
+    @property
+    def tolerance_k(self) -> float:
+        """The limit of its error without a certificate, K."""
+        raise NotImplementedError
+
+
+SUPPLY_FACTS: Final = ("OUTPUTS", "SWITCHED_TOGETHER")
+"""What the facts of a power supply must say (see those of an E3631A); with a serial port `BAUD_RATES`, too."""
+
+OF_CURRENT: Final = QuantityKind("a rate of a current", "0.2 percent/K", "1/K")
+
+
+class SupplyTruth(FileModel):
+    """What the simulated unit takes from its supply, and how it is without.
+
+    Each rail takes `current` at 23 degC (where it is left out the middle of its window), more by
+    `current_by_temperature` for each kelvin, and `in_rush` times as much at switching on, dying away with the time
+    constant `in_rush_time`. Below the part `brown_out` of a rail's voltage it works no more; `dead_offset` and
+    `dead_noise` are the standard deviations, over channels and over readings, of what its signals then show.
+    """
+
+    current: SizeA | None = None
+    current_by_temperature: Annotated[float, reads(OF_CURRENT)] = 2e-3
+    in_rush: Annotated[Ratio, Field(ge=1.0)] = 3.0
+    in_rush_time: SpanS = 0.05
+    brown_out: Annotated[Ratio, Field(gt=0.0, lt=1.0)] = 0.8
+    dead_offset: VoltageV = 2e-3
+    dead_noise: VoltageV = 5e-4
+
+    @field_validator("in_rush_time")
+    @classmethod
+    def _takes_time(cls, in_rush_time_s: float) -> float:
+        if in_rush_time_s == 0.0:
+            raise ValueError("expected more than nothing: no capacitor is charged at once")
+        return in_rush_time_s
+
+
+OF_THE_UNIT: Final = tuple(SupplyTruth.model_fields)
+"""What the simulated world does with the unit behind any supply."""
+
+
+class SupplyForm(DeviceSection):
+    """What every power supply is told: nothing but its name. What it is set to is the unit's to say."""
+
+    role: ClassVar[Role] = "power_supply"
+
+    certificate: ClassVar[None] = None
+    """No reading hangs on what it shows."""
+
+    name: str = "power_supply"
+
+    @property
+    def limits(self) -> SupplyLimits | None:
+        """What it can do, None where nobody knows."""
+        raise NotImplementedError
+
+
+class WiredSupplyForm(SupplyForm, WiredForm):
+    """A power supply with a wire; `interface` says how it is set, apart from the wire that carries its messages."""
+
+    resource: Annotated[str, AfterValidator(any_resource)]
+
+    @property
+    def limits(self) -> SupplyLimits | None:
+        """What it can do: what its facts say of its model."""
+        return SupplyLimits.of(self.facts, getattr(self, "model", None))
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return what it can do."""
+        return {"limits": self.limits}
+
+    def simulation_options(self, truth: SupplyTruth) -> dict[str, Any]:
+        """Return the model, where there are several."""
+        model = getattr(self, "model", None)
+        return {} if model is None else {"model": model}

@@ -1,0 +1,479 @@
+"""Model files: the effects of a forward model with their values; unnamed terms that get a name."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+import yaml
+from pydantic import Field
+
+from bench.base.arrays import CHANNELS, Floats
+from bench.base.forms import FileMistake, FileMistakes, FileModel, load_validated, part
+from bench.base.units import QuantityKind, parse_quantity
+from bench.base.yaml_text import Place, unknown_word
+from bench.config.formulas import FormulaEntry, effects_as_written, formula_mistakes, written_formulas
+from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter
+from bench.model.effects.base import PASS, pass_label
+from bench.model.effects.formula import FormulaEffect
+from bench.model.effects.in_part import PART, InPart, in_part
+from drivers.interfaces.instruments import Channel
+
+FORMAT: Final = "1"
+"""Version of the format; a reader refuses any other."""
+
+
+class EffectEntry(FileModel):
+    """One effect of a file: its name in the catalogue, the channels and mountings that have it, its values."""
+
+    name: str
+    channels: tuple[Channel, ...] = Field(CHANNELS, min_length=1)
+    installations: tuple[str, ...] = ()
+    parameters: dict[str, Any]
+
+    def applied(self) -> AppliedEffect:
+        """Return the effect with its values in SI. The entry must have passed `effect_mistakes`."""
+        effect = CATALOGUE[self.name]
+        values: dict[str, Floats] = {}
+        u: dict[str, Floats] = {}
+        for parameter in effect.parameters:
+            if parameter.name in self.parameters:
+                read = _Reader(parameter, self.channels)
+                read.all(self.parameters[parameter.name])
+                values[parameter.name] = read.values
+                if read.has_u:
+                    u[parameter.name] = read.u
+        return AppliedEffect(effect, values, self.channels, u, self.installations)
+
+
+class LeftOpen(FileModel):
+    """One way in which the shape of the effect `of` is open: `part` times the sum of `effects`, u of it beside.
+
+    The readings that it was found in make all such sizes independent of each other.
+    """
+
+    of: str
+    part: float = Field(allow_inf_nan=False)
+    u: float = Field(gt=0.0, allow_inf_nan=False)
+    effects: tuple[EffectEntry, ...] = Field(min_length=1)
+
+    def applied(self, number: int) -> AppliedEffect:
+        """Return it as an effect with its size, the `number`th of its own."""
+        return in_part(self.of, number, tuple(entry.applied() for entry in self.effects), self.part, self.u)
+
+
+class WithEffects(FileModel):
+    """A file with `effects`, and with the `formulas` of the user's own that some of them rest on."""
+
+    if TYPE_CHECKING:
+        formulas: tuple[FormulaEntry, ...]
+        effects: tuple[EffectEntry, ...]
+
+    @classmethod
+    def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
+        """Yield the mistakes in the effects and in the formulas that they rest on."""
+        return mistakes_with_formulas(data)
+
+    def own_effects(self) -> tuple[Effect, ...]:
+        """Return the effects of the user's own whose formulas stand in the file."""
+        return tuple(entry.effect() for entry in self.formulas)
+
+    def applied_effects(self) -> tuple[AppliedEffect, ...]:
+        """Return the effects with their values in SI."""
+        with CATALOGUE.also(self.own_effects()):
+            return tuple(entry.applied() for entry in self.effects)
+
+
+class ModelFile(WithEffects):
+    """A model file: `parent` is the model that it was made from, `data_sha256` what it was found in.
+
+    `evidence` is kept as text for the reader of the file; nothing is computed from it. `dark_uncertainty` is what
+    stays unexplained in each reading beside terms that have no name (1 σ): whoever uses the file is told.
+    `left_open` is what is not known of the effects' shapes.
+    """
+
+    model_file: Literal["1"]
+    name: str
+    parent: str = "paper"
+    data_sha256: str | None = None
+    evidence: dict[str, str] = Field(default_factory=dict)
+    dark_uncertainty: str | None = None
+    formulas: tuple[FormulaEntry, ...] = ()
+    effects: tuple[EffectEntry, ...] = ()
+    left_open: tuple[LeftOpen, ...] = ()
+
+    def applied_effects(self) -> tuple[AppliedEffect, ...]:
+        """Return the effects with their values in SI, with what is open of them."""
+        count: Counter[str] = Counter()
+        open_ones = []
+        with CATALOGUE.also(self.own_effects()):
+            for entry in self.left_open:
+                count[entry.of] += 1
+                open_ones.append(entry.applied(count[entry.of]))
+        return (*super().applied_effects(), *open_ones)
+
+
+def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
+    """Read a model file. Raises `FileMistakes` with every mistake in it.
+
+    With `installations`, those of the bench, it is a mistake, too, that an effect is of another one.
+    """
+    model = load_validated(path, ModelFile)
+    mistakes = [
+        FileMistake(0, f"effects[{index}].installations", text)
+        for index, entry in enumerate(model.effects, start=1)
+        for text in _mounting_mistakes(entry.installations, installations)
+    ]
+    if mistakes and installations:
+        raise FileMistakes(path, mistakes)
+    return model
+
+
+# --- reading effects --------------------------------------------------------------------------------
+
+
+def mistakes_with_formulas(data: Any, installations: Collection[str] = ()) -> Iterator[tuple[Place, str]]:
+    """Yield what is wrong with the `formulas` of a file as written, and with the `effects` that rest on them."""
+    wrong = list(formula_mistakes(part(data, "formulas"), ("formulas",)))
+    yield from wrong
+    if wrong:
+        return  # which effects there are is not known
+    with CATALOGUE.also(effects_as_written(part(data, "formulas"))):
+        yield from list(effect_mistakes(part(data, "effects"), ("effects",), installations))
+        yield from list(_left_open_mistakes(part(data, "left_open"), installations))
+
+
+def _left_open_mistakes(entries: Any, installations: Collection[str]) -> Iterator[tuple[Place, str]]:
+    for index, entry in enumerate(entries if isinstance(entries, list) else []):
+        here: Place = ("left_open", index, "effects")
+        effects = part(entry, "effects")
+        wrong = list(effect_mistakes(effects, here, installations))
+        yield from wrong
+        if wrong or not isinstance(effects, list):
+            continue
+        stages = {CATALOGUE[one["name"]].stage for one in effects if isinstance(one, dict) and "name" in one}
+        if len(stages) > 1:
+            yield here, "its effects act at several stages of the model: they cannot be one size"
+
+
+def effect_mistakes(
+    entries: Any, place: Place, installations: Collection[str] = ()
+) -> Iterator[tuple[Place, str]]:
+    """Yield what is wrong with the names and values of a list of effects as written at `place`.
+
+    With `installations`, those of the bench, effects must not be of another one.
+    """
+    seen: set[tuple[object, ...]] = set()
+    for index, entry in enumerate(entries if isinstance(entries, list) else []):
+        if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
+            continue
+        here = (*place, index)
+        effect = CATALOGUE.get(entry["name"])
+        if effect is None:
+            yield (*here, "name"), unknown_word(entry["name"], sorted(CATALOGUE), "effect")
+            continue
+        given = entry.get("parameters")
+        known = {parameter.name: parameter for parameter in effect.parameters}
+        channels = _channels(entry.get("channels"))
+        shapes = {parameter.name: parameter.default for parameter in effect.parameters if parameter.is_shape}
+        for name, written in (given if isinstance(given, dict) else {}).items():
+            inside = (*here, "parameters", name)
+            if name not in known:
+                yield inside, unknown_word(name, list(known), f"parameter of {effect.name}")
+                continue
+            reader = _Reader(known[name], channels)
+            reader.all(written)
+            yield from (((*inside, *where), text) for where, text in reader.problems)
+            if name in shapes:
+                shapes[name] = float(reader.values)
+        mountings = entry.get("installations")
+        listed = tuple(sorted(map(str, mountings))) if isinstance(mountings, list) else ()
+        if installations:
+            yield from (
+                ((*here, "installations"), text) for text in _mounting_mistakes(listed, installations)
+            )
+        of = channels if any(parameter.per_channel for parameter in effect.parameters) else CHANNELS
+        own = {(effect.name, listed, channel, *shapes.values()) for channel in of}
+        if own & seen:
+            yield here, f"{effect.name} stands twice for the same channel; put its values into one entry"
+        seen |= own
+
+
+def _mounting_mistakes(written: Iterable[str], installations: Collection[str]) -> Iterator[str]:
+    """Yield a sentence for each mounting, such as "2" or "2/3" (of series 3), of an unknown installation."""
+    for written_one in written:
+        mounting, of_pass, number = written_one.partition(PASS)
+        label, slash, series = mounting.partition("/")
+        if label not in installations:
+            yield unknown_word(label, sorted(installations), "installation")
+        elif slash and not (series.isascii() and series.isdecimal() and int(series) > 1):
+            yield f"expected a series from 2 on after the slash, such as '{label}/2', got '{mounting}'"
+        elif of_pass and not (number.isascii() and number.isdecimal()):
+            yield f"expected the number of a pass, such as '{pass_label(mounting, 2)}', got '{written_one}'"
+
+
+def _channels(written: Any) -> tuple[Channel, ...]:
+    """Return the channels as written, all where they cannot be read."""
+    return tuple(c for c in CHANNELS if c in written) if isinstance(written, list) and written else CHANNELS
+
+
+class _Reader:
+    """Reads the value of a parameter; `problems` holds places below it and sentences."""
+
+    def __init__(self, parameter: Parameter, channels: tuple[Channel, ...]) -> None:
+        self._parameter = parameter
+        self._channels = channels
+        unit = "" if parameter.unit == "1" else parameter.unit
+        size = parameter.plausible / parameter.si_per_unit
+        self._kind = QuantityKind(f"a value of {parameter.name}", f"{size:.3g} {unit}".strip(), unit)
+        shape = (3,) if parameter.per_channel else ()
+        self.values: Floats = np.zeros(shape)
+        self.u: Floats = np.zeros(shape)
+        self.has_u = False
+        self.problems: list[tuple[Place, str]] = []
+
+    def all(self, written: Any) -> None:
+        """Read a value for all channels, or a mapping of channels to values."""
+        if not isinstance(written, dict) or not set(written) & set(CHANNELS):
+            rows = [CHANNELS.index(channel) for channel in self._channels]
+            self._one(written, rows if self._parameter.per_channel else (), ())
+            return
+        if not self._parameter.per_channel:
+            text = f"{self._parameter.name} has one value, not one for each channel"
+            self.problems.append(((), text))
+            return
+        for channel, value in written.items():
+            if channel not in CHANNELS:
+                self.problems.append(((channel,), unknown_word(channel, list(CHANNELS), "channel")))
+            elif channel not in self._channels:
+                listed = ", ".join(self._channels)
+                self.problems.append(((channel,), f"channel {channel} is not among the channels ({listed})"))
+            else:
+                self._one(value, [CHANNELS.index(channel)], (channel,))
+
+    def _one(self, written: Any, rows: Sequence[int] | tuple[()], place: Place) -> None:
+        if not isinstance(written, dict):
+            self.values[rows] = self._number(written, place)
+            return
+        for key in written:
+            if key not in {"value", "u"}:
+                self.problems.append(((*place, key), unknown_word(key, ["value", "u", *CHANNELS], "key")))
+        if "value" in written:
+            self.values[rows] = self._number(written["value"], (*place, "value"))
+        else:
+            self.problems.append((place, "'value' is missing"))
+        if "u" in written and self._parameter.is_shape:
+            text = f"{self._parameter.name} is a shape: a fit holds it as it is, and it has no u"
+            self.problems.append(((*place, "u"), text))
+        elif "u" in written:
+            self.has_u = True
+            u = self._number(written["u"], (*place, "u"))
+            self.u[rows] = u
+            if u < 0.0:
+                self.problems.append(((*place, "u"), "a standard uncertainty is not negative"))
+
+    def _number(self, written: Any, place: Place) -> float:
+        parameter = self._parameter
+        try:
+            number = parse_quantity(written, self._kind)
+            if parameter.is_shape and (number < 0.0 or (number == 0.0 and 0.0 not in parameter.grid)):
+                least = "nothing or more" if 0.0 in parameter.grid else "more than nothing"
+                raise ValueError(f"expected {parameter.name} to be {least}, got '{written}'")
+            return number * parameter.si_per_unit
+        except ValueError as error:
+            self.problems.append((place, str(error)))
+            return 0.0
+
+
+# --- writing ----------------------------------------------------------------------------------------
+
+
+def write_model_file(
+    path: Path,
+    name: str,
+    effects: Sequence[AppliedEffect],
+    *,
+    parent: str = "paper",
+    data_sha256: str | None = None,
+    evidence: Mapping[str, object] | None = None,
+    dark_uncertainty: str | None = None,
+) -> None:
+    """Write a model file that `load_model` reads back to the same values.
+
+    Raises `FileMistakes` when `path` exists: a model file is never overwritten.
+    """
+    content: dict[str, Any] = {"model_file": int(FORMAT), "name": name, "parent": parent}
+    if data_sha256 is not None:
+        content["data_sha256"] = data_sha256
+    if evidence:
+        content["evidence"] = {key: str(value) for key, value in evidence.items()}
+    if dark_uncertainty is not None:
+        content["dark_uncertainty"] = dark_uncertainty
+    content |= written_effects(effects)
+    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110)
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        problem = "this model file exists and is not overwritten; give another name"
+        raise FileMistakes(path, [FileMistake(0, "", problem)]) from None
+
+
+def written_effects(effects: Sequence[AppliedEffect]) -> dict[str, Any]:
+    """Return effects as a file states them: `effects`, and `formulas` and `left_open` where there are any."""
+    content: dict[str, Any] = {}
+    formulas = written_formulas(applied.effect for applied in effects)
+    if formulas:
+        content["formulas"] = formulas
+    content["effects"] = [_written_effect(applied) for applied in effects if _is_whole(applied)]
+    left_open = [_written_left_open(applied) for applied in effects if not _is_whole(applied)]
+    if left_open:
+        content["left_open"] = left_open
+    return content
+
+
+def _is_whole(applied: AppliedEffect) -> bool:
+    return not isinstance(applied.effect, InPart)
+
+
+def _written_left_open(applied: AppliedEffect) -> dict[str, Any]:
+    effect = applied.effect
+    assert isinstance(effect, InPart)  # noqa: S101 - chosen so
+    u = float(applied.u.get(PART, np.ones(())))
+    return {
+        "of": effect.of,
+        "part": float(applied.values[PART]),
+        "u": u or 1.0,
+        "effects": [_written_effect(one) for one in effect.parts],
+    }
+
+
+def _written_effect(applied: AppliedEffect) -> dict[str, Any]:
+    parameters: dict[str, Any] = {}
+    complete = applied.complete_values()
+    for parameter in applied.effect.parameters:
+        if parameter.name not in applied.values and not parameter.is_shape:
+            continue
+        value = complete[parameter.name]
+        u = applied.u.get(parameter.name)
+        if parameter.per_channel:
+            parameters[parameter.name] = {
+                channel: _written_value(parameter, value[i], None if u is None else u[i])
+                for i, channel in enumerate(CHANNELS)
+                if channel in applied.channels
+            }
+        else:
+            parameters[parameter.name] = _written_value(parameter, value, u)
+    written: dict[str, Any] = {"name": applied.effect.name, "channels": list(applied.channels)}
+    if applied.installations:
+        written["installations"] = list(applied.installations)
+    return written | {"parameters": parameters}
+
+
+def _written_value(parameter: Parameter, value: Any, u: Any) -> str | dict[str, str]:
+    def text(number: Any) -> str:
+        unit = "" if parameter.unit == "1" else parameter.unit
+        return f"{float(number) / parameter.si_per_unit!r} {unit}".strip()
+
+    return text(value) if u is None else {"value": text(value), "u": text(u)}
+
+
+UNNAMED: Final = "unnamed_"
+WIDENED: Final = ("tau", "lag")
+"""Shapes of which an effect with a name has more values to be tried: half and twice as much."""
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """The effect with its name, and the effects of the model with it in place of the terms."""
+
+    effect: FormulaEffect
+    effects: tuple[AppliedEffect, ...]
+
+
+def unnamed_in(effects: Sequence[AppliedEffect]) -> list[str]:
+    """Return the names of the terms among effects that have none yet."""
+    return [applied.effect.name for applied in effects if applied.effect.name.startswith(UNNAMED)]
+
+
+def accept(effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, sentence: str) -> Accepted:
+    """Give terms a name and a sentence, as one effect. Raises `ValueError` with what speaks against it."""
+    known = unnamed_in(effects)
+    if not known:
+        raise ValueError("no term without a name is in this model file; 'bench diagnose' writes them")
+    strange = [term for term in terms if term not in known]
+    if strange:
+        raise ValueError(f"there is no term {', '.join(strange)}; there are {', '.join(known)}")
+    chosen = [a for a in effects if a.effect.name in (terms or known)]
+    formulas = [a.effect for a in chosen if isinstance(a.effect, FormulaEffect)]
+    places = {(f.stage, f.adds_to) for f in formulas}
+    if len(places) > 1:
+        where = "; ".join(f"{f.name} at the {f.stage} {f.adds_to}".rstrip() for f in formulas)
+        raise ValueError(
+            f"these terms act at different places ({where}): give each a name of its own with --term"
+        )
+    whole = _joined(chosen, formulas, name, sentence)
+    first = next(i for i, a in enumerate(effects) if a is chosen[0])
+    kept = [a for a in effects if not any(a is one for one in chosen)]
+    before = sum(1 for a in effects[:first] if not any(a is one for one in chosen))
+    assert isinstance(whole.effect, FormulaEffect)  # noqa: S101 - made so
+    return Accepted(whole.effect, (*kept[:before], whole, *kept[before:]))
+
+
+def _joined(
+    chosen: Sequence[AppliedEffect], formulas: Sequence[FormulaEffect], name: str, sentence: str
+) -> AppliedEffect:
+    parameters: dict[str, Parameter] = {}
+    values: dict[str, Floats] = {}
+    u: dict[str, Floats] = {}
+    expressions = []
+    for number, (applied, formula) in enumerate(zip(chosen, formulas, strict=True), start=1):
+        renamed = _new_names(formula, parameters, number if len(chosen) > 1 else 0)
+        expressions.append(_with_names(formula.expression, renamed))
+        complete = applied.complete_values()
+        # the phase of a wave is nobody's to expect: all sizes of a term are as large as its largest
+        largest = max(float(np.max(np.abs(complete[p.name]))) for p in formula.parameters if not p.is_shape)
+        for parameter in formula.parameters:
+            new = renamed[parameter.name]
+            parameters[new] = replace(_widened(parameter, largest), name=new)
+            values[new] = complete[parameter.name]
+            if parameter.name in applied.u:
+                u[new] = applied.u[parameter.name]
+    effect = replace(
+        formulas[0],
+        name=name,
+        sentence=sentence,
+        parameters=tuple(parameters.values()),
+        expression=" + ".join(expressions),
+    )
+    channels = tuple(c for c in CHANNELS if any(c in a.channels for a in chosen))
+    return AppliedEffect(effect, values, channels, u)
+
+
+def _new_names(formula: FormulaEffect, taken: dict[str, Parameter], number: int) -> dict[str, str]:
+    """Return the new name of each parameter: numbered where several terms are joined, but for equal shapes."""
+    names = {}
+    for parameter in formula.parameters:
+        same = taken.get(parameter.name)
+        alike = parameter.is_shape and (same is None or same.default == parameter.default)
+        names[parameter.name] = parameter.name if alike or not number else f"{parameter.name}{number}"
+    return names
+
+
+def _with_names(expression: str, names: dict[str, str]) -> str:
+    return re.sub(r"[A-Za-z_]\w*", lambda word: names.get(word[0], word[0]), expression)
+
+
+def _widened(parameter: Parameter, largest: float) -> Parameter:
+    """Return the parameter with what is plausible of it now: as large as it was found, a shape about as long."""
+    if parameter.is_shape:
+        if parameter.name not in WIDENED:
+            return parameter
+        grid = tuple(parameter.default * times for times in (0.5, 1.0, 2.0))
+        return replace(parameter, grid=grid, plausible=max(grid))
+    return replace(parameter, plausible=max(parameter.plausible, largest))

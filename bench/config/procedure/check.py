@@ -1,0 +1,311 @@
+"""A plan against a bench, before anything is touched: what cannot be done, and what it takes to do it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import HOUR, Floats
+from bench.base.words import APPROACH, duration
+from bench.config.bench_file.file import BenchFile
+from bench.config.procedure.plan import (
+    SWITCHED_ON,
+    Ask,
+    Level,
+    Mount,
+    Plan,
+    Power,
+    Read,
+    SelectInput,
+    SetTemperature,
+    Settle,
+    Turn,
+)
+from bench.config.procedure.steps import in_scan_order, read_order
+from bench.model.block import COEFFICIENTS, hidden_axes
+from bench.readings.table import UNORIENTED, VERIFICATION
+
+ROUNDING_RAD: Final = 1e-9
+
+_DAY: Final = 24 * HOUR
+LONGEST_S: Final = 366 * _DAY
+"""A plan that may take longer is none that anybody means."""
+
+_BYTES_OF_REPORT: Final = 1_500_000
+_BYTES_OF_STEP: Final = 800
+_BYTES_OF_READING: Final = 800
+_BYTES_OF_SAMPLE: Final = 40
+"""As measured on the folders of dry runs, rounded up: plan and events; the samples of three channels."""
+
+
+def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
+    """Return every reason why a plan cannot be carried out on a bench, one sentence each.
+
+    In a dry run nobody can answer a prompt without a default, so that such a prompt is a reason too.
+    """
+    return [*_installation_problems(plan, bench), *_reading_problems(plan, bench), *_scan_problems(plan, bench),
+            *_turn_problems(plan, bench), *_signal_problems(plan, bench), *_temperature_problems(plan, bench),
+            *_settling_problems(plan, bench), *_level_problems(plan, bench), *_time_problems(plan),
+            *_power_problems(plan, bench),
+            *(prompts_without_default(plan) if dry_run else ())]  # fmt: skip
+
+
+def _time_problems(plan: Plan) -> Iterator[str]:
+    if not plan.longest_duration_s() < LONGEST_S:
+        yield f"the procedure may take more than {LONGEST_S / _DAY:.0f} days: look for a slip in a time or a count"
+
+
+def _installation_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    known = bench.installation_models()
+    first = {step.installation: step.key for step in reversed(plan.steps) if isinstance(step, Mount)}
+    for label, key in reversed(first.items()):
+        if label not in known:
+            listed = ", ".join(known)
+            yield f"step {key}: the bench file has no installation {label} (it has {listed}); state it there"
+
+
+def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    if not bench.knows_its_meters:
+        return
+    nplc: dict[float, str] = {}
+    samples: dict[int, str] = {}
+    for step in plan.steps:
+        if isinstance(step, Read):
+            nplc.setdefault(step.nplc, step.key)
+            samples.setdefault(step.samples, step.key)
+    for value, key in nplc.items():
+        if value not in bench.nplc_supported:
+            listed = ", ".join(f"{n:g}" for n in bench.nplc_supported)
+            yield f"step {key}: the voltmeters do not integrate over {value:g} NPLC; take one of {listed}"
+    for count, key in samples.items():
+        if count > bench.most_samples:
+            yield f"step {key}: {count} samples are more than the {bench.most_samples} that a voltmeter holds"
+        elif count < bench.least_samples:
+            yield f"step {key}: {count} samples are fewer than the {bench.least_samples} that a voltmeter takes"
+
+
+def _level_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    """Levelling takes a level, and a head that may stand at 0°."""
+    first = next((step for step in plan.steps if isinstance(step, Level)), None)
+    if first is None:
+        return
+    if bench.instruments.level is None:
+        yield (
+            f"step {first.key}: the platform is to be levelled, but the bench file has no level; state one under "
+            "instruments, or leave 'level' out in a copy of the procedure"
+        )
+    low_rad, high_rad = bench.head_limits_rad or (-bench.head_backoff_rad, 0.0)
+    if low_rad > -bench.head_backoff_rad + ROUNDING_RAD or high_rad < -ROUNDING_RAD:
+        yield (
+            f"step {first.key}: the level is read with the head at 0°, come to with rising angle, but the head may "
+            f"go from {np.degrees(low_rad):g}° to {np.degrees(high_rad):g}°"
+        )
+
+
+def _scan_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    """A meter of several channels scans them in its own order, whatever is asked."""
+    scans = {step.scan: step.key for step in reversed(plan.steps) if isinstance(step, Read) and step.scan}
+    for scan, key in reversed(scans.items()):
+        order = read_order(in_scan_order(bench.instruments.voltmeters, scan))
+        if order != scan:
+            yield (
+                f"step {key}: the channels are to be read in the order {scan}, but this bench's multiplexer can do "
+                f"{order} alone; leave 'scans' out in a copy of the procedure"
+            )
+
+
+def _turn_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    """A motorised head backs off before it arrives from the demanded side: that place must be allowed, too."""
+    if bench.head_limits_rad is None:
+        return
+    low_rad, high_rad = bench.head_limits_rad
+    looked_at: set[tuple[float, int]] = set()
+    for step in plan.steps:
+        if not isinstance(step, Turn) or (step.target_rad, step.direction) in looked_at:
+            continue
+        looked_at.add((step.target_rad, step.direction))
+        start_rad = step.target_rad - step.direction * bench.head_backoff_rad
+        lowest, highest = sorted((step.target_rad, start_rad))
+        if lowest < low_rad - ROUNDING_RAD or highest > high_rad + ROUNDING_RAD:
+            yield (
+                f"step {step.key}: the head may go from {np.degrees(low_rad):g}° to {np.degrees(high_rad):g}°, but "
+                f"{APPROACH[step.direction]} to {np.degrees(step.target_rad):g}° needs "
+                f"{np.degrees(lowest):g}° to {np.degrees(highest):g}°"
+            )
+
+
+def _signal_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    """What the voltmeters and the block cannot take; the nominal signals themselves the bench file checks."""
+    range_v = bench.voltmeter_range_v
+    references = {s.reference_v: s.key for s in reversed(plan.steps) if isinstance(s, SelectInput)}
+    for reference_v, key in reversed(references.items()):
+        if reference_v is not None and abs(reference_v) > range_v:
+            yield (
+                f"step {key}: the reference of {reference_v:g} V is more than the voltmeters' range of "
+                f"{range_v:g} V; take a smaller one"
+            )
+    largest_g = max((float(np.max(np.abs(f))) for f in orientations(plan, bench).values()), default=0.0)
+    if largest_g > bench.unit_under_test.range:
+        yield (
+            f"the block is given {largest_g:.3g} g along an axis, but measures no more than "
+            f"{bench.unit_under_test.range:g} g; change its range in the bench file or the angles"
+        )
+
+
+def _temperature_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    demands = {s.target_c: s.key for s in reversed(plan.steps) if isinstance(s, SetTemperature)}
+    chamber = bench.instruments.chamber
+    if demands and chamber is None:
+        key = demands[next(reversed(demands))]
+        yield f"step {key}: the procedure sets temperatures, but the bench file has no chamber"
+    limits = {"the block": bench.unit_under_test.temperature} | ({"the chamber": chamber} if chamber else {})
+    for target_c, key in reversed(demands.items()):
+        for what, allowed in limits.items():
+            if not allowed.minimum <= target_c <= allowed.maximum:
+                span = f"{allowed.minimum:g} to {allowed.maximum:g} °C"
+                yield f"step {key}: {target_c:g} °C is outside what {what} may be given, {span}"
+
+
+def _settling_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    first = next((s for s in plan.steps if isinstance(s, Settle) and s.what == "temperature"), None)
+    chamber = bench.instruments.chamber
+    if first is None:
+        return
+    if chamber is None:
+        yield f"step {first.key}: the temperature is to settle, but the bench file has no chamber"
+    elif chamber.by_hand:
+        yield (
+            f"step {first.key}: the temperature is to settle, but a person reads it and cannot be asked again and "
+            "again; take a plain soak"
+        )
+
+
+def switched_before(plan: Plan, bench: BenchFile) -> str | None:
+    """Return what a run does with the block's supply before the first step; None where it does nothing."""
+    supply = bench.unit_under_test.supply
+    if supply is None or not plan.begins_on():
+        return None
+    warm = (
+        duration(supply.warm_up)
+        if isinstance(supply.warm_up, float)
+        else f"until settled, {duration(supply.warm_up_s)} to {duration(supply.longest_warm_up_s)}"
+    )
+    return f"{SWITCHED_ON.describe()} ({warm})"
+
+
+def _power_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
+    """A block that is switched has a supply, and no signal is read of one that is off."""
+    first = next((step for step in plan.steps if isinstance(step, Power)), None)
+    if first is not None and bench.unit_under_test.supply is None:
+        yield (
+            f"step {first.key}: the block is switched, but the bench file does not say how it is supplied; state "
+            "'supply' under unit_under_test, and its power_supply under instruments"
+        )
+    on, off_key, input_source = plan.begins_on(), "", "signal"
+    for step in plan.steps:
+        if isinstance(step, Power):
+            on, off_key = step.switch != "off", step.key
+        elif isinstance(step, SelectInput):
+            input_source = step.source
+        elif isinstance(step, Read | Settle) and not on and input_source == "signal":
+            if isinstance(step, Settle) and step.what != "signals":
+                continue
+            since = f"step {off_key} has switched it off" if off_key else "nothing has switched it on"
+            yield f"step {step.key}: the block is off here, {since}; switch it on before with 'power: on'"
+            return
+
+
+def prompts_without_default(plan: Plan) -> Iterator[str]:
+    """Yield a sentence for each prompt that a dry run cannot answer."""
+    for step in plan.steps:
+        if isinstance(step, Ask) and step.default is None:
+            yield f"step {step.key}: the prompt '{step.text}' has no default, which a dry run needs; give one"
+
+
+# --- what it takes ----------------------------------------------------------------------------------
+
+
+def operator_actions(plan: Plan, bench: BenchFile) -> int:
+    """Return how often the operator has something to do on this bench: what a motor does is none.
+
+    A thermometer that a person reads is read at each mounting, too.
+    """
+    chamber = bench.instruments.chamber
+    turned = bench.instruments.head.by_hand
+    heated = chamber is not None and chamber.by_hand
+    thermometer = bench.instruments.thermometer
+    told = heated if thermometer is None else thermometer.by_hand
+    level = bench.instruments.level
+    by_bubble = level is not None and level.by_hand
+    actions = 0
+    for step in plan.steps:
+        match step:
+            case Mount():
+                actions += 2 if told else 1
+            case Turn():
+                actions += turned
+            case SetTemperature():
+                actions += heated
+            case SelectInput() | Ask():
+                actions += 1
+            case Level():
+                actions += step.settings * (turned + (4 if by_bubble else 2)) + (step.within_rad is not None)
+    return actions
+
+
+def largest_signal_v(plan: Plan, bench: BenchFile) -> float:
+    """Return the largest signal that nominal scale factors give at the orientations of a plan, V."""
+    scale_v_g = np.array(bench.unit_under_test.scale_factors.values)
+    return max(
+        (float(np.max(np.abs(f * scale_v_g))) for f in orientations(plan, bench).values()), default=0.0
+    )
+
+
+def disk_needed_bytes(plan: Plan) -> int:
+    """Return about how much a run of a plan writes: plan and events, every sample, the report."""
+    reads = [step for step in plan.steps if isinstance(step, Read)]
+    samples = sum(step.samples for step in reads) + sum(
+        int(step.timeout_s / step.interval_s) + 1 for step in plan.steps if isinstance(step, Settle)
+    )
+    return (
+        _BYTES_OF_REPORT
+        + _BYTES_OF_STEP * len(plan.steps)
+        + _BYTES_OF_READING * len(reads)
+        + _BYTES_OF_SAMPLE * samples
+    )
+
+
+# --- what it tells ----------------------------------------------------------------------------------
+
+
+def orientations(plan: Plan, bench: BenchFile) -> dict[float | None, Floats]:
+    """Return the nominal specific forces (n, 3), in g, at which a calibration from this plan has readings.
+
+    By the temperature that the chamber was set to, None before it was set. An orientation stands there once;
+    verification points and installations that the bench file does not know are left out.
+    """
+    turns = {label: known.block_from_platform for label, known in bench.installation_models().items()}
+    found: dict[float | None, dict[tuple[str, float], Floats]] = {}
+    at_c: float | None = None
+    for step in plan.steps:
+        if isinstance(step, SetTemperature):
+            at_c = step.target_c
+        elif isinstance(step, Read) and step.target_rad is not None and _is_fitted(step, turns):
+            place = step.installation, step.target_rad
+            forces = found.setdefault(at_c, {})
+            if place not in forces:
+                on_platform = np.array([np.sin(step.target_rad), 0.0, np.cos(step.target_rad)])
+                forces[place] = turns[step.installation] @ on_platform
+    return {temperature: np.array([*forces.values()]) for temperature, forces in found.items()}
+
+
+def _is_fitted(step: Read, turns: dict[str, Floats]) -> bool:
+    return step.installation in turns and step.installation not in {VERIFICATION, *UNORIENTED}
+
+
+def undetermined(force: Floats) -> tuple[str, ...]:
+    """Return the coefficients that readings at these specific forces (n, 3) leave open, none for a calibration."""
+    hidden = hidden_axes(force)
+    return tuple(name for name in COEFFICIENTS if ("0" if name.startswith("U0") else name[-1]) in hidden)

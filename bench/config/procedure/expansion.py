@@ -1,0 +1,348 @@
+"""From the steps of a procedure file to the flat steps of a plan."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from bench.base.forms import Document, FileMistake
+from bench.base.yaml_text import Place
+from bench.config.procedure.file import (
+    FailureSection,
+    IncludedFile,
+    InputVerb,
+    InstallationVerb,
+    LevelVerb,
+    PowerVerb,
+    PromptVerb,
+    ReadingSection,
+    ReadVerb,
+    RepeatVerb,
+    SettleForm,
+    SettleVerb,
+    StepEntry,
+    TemperaturesVerb,
+    TemperatureVerb,
+    TurnVerb,
+)
+from bench.config.procedure.plan import (
+    SETTLING,
+    Ask,
+    Level,
+    Mount,
+    OnFailure,
+    Power,
+    Read,
+    SelectInput,
+    SetTemperature,
+    Settle,
+    Step,
+    Turn,
+    Wait,
+)
+from bench.config.procedure.steps import mount_in_words
+from bench.readings.table import REFERENCE, SHORTED
+from drivers.interfaces import Direction
+
+MOST_STEPS: Final = 200_000
+"""More is a slip in a file, not a procedure."""
+
+_DIRECTIONS: Final[Mapping[str, Direction]] = {"rising": 1, "falling": -1}
+_INPUTS: Final[Mapping[str, str]] = {"short": SHORTED, "reference": REFERENCE}
+
+
+@dataclass(frozen=True)
+class _Context:
+    """Where in the procedure a step stands; what of it is not entered yet has the values given here."""
+
+    document: Document
+    reading: ReadingSection
+    installation: str = ""
+    series: int = 1
+    pass_number: int = 1
+    direction: Direction = 1
+    point: int = 0
+    target_rad: float = 0.0
+    input: str = ""
+    on_failure: FailureSection | None = None
+    scan: str = ""
+
+    @property
+    def mount(self) -> str:
+        """The mounting as it stands in a key."""
+        return self.installation if self.series == 1 else f"{self.installation}s{self.series}"
+
+    @property
+    def place(self) -> tuple[str, int, int, int]:
+        """Installation, series, pass and point."""
+        return self.installation, self.series, self.pass_number, self.point
+
+    @property
+    def place_key(self) -> str:
+        """The point as it stands in a key."""
+        return f"{self.mount}.{self.pass_number}.{self.point}"
+
+    def inside(self, document: Document, file: IncludedFile) -> _Context:
+        """Return the context of the steps of a file: what it leaves open is as in what includes it."""
+        return replace(
+            self,
+            document=document,
+            reading=file.reading or self.reading,
+            on_failure=file.on_failure or self.on_failure,
+        )
+
+    def failure(self, *nearer: FailureSection | None) -> OnFailure:
+        """Return what becomes of a step that fails, as the nearest says that says anything."""
+        said = next((section for section in (*nearer, self.on_failure) if section is not None), None)
+        return OnFailure() if said is None else said.to_plan()
+
+
+class _TooLong(Exception):
+    """The plan has more steps than any procedure."""
+
+
+class Expansion:
+    """Expands a procedure whose files are valid and whose verbs stand where they may.
+
+    `mistakes` holds what only shows now (something measured twice), with the document that it is in.
+    """
+
+    def __init__(self, documents: Mapping[Path, Document], files: Mapping[Path, IncludedFile]) -> None:
+        self.mistakes: list[tuple[Document, FileMistake]] = []
+        self._documents = documents
+        self._files = files
+        self._steps: list[Step] = []
+        self._mounted: set[tuple[str, int]] = set()
+        self._read: set[tuple[str, int, int, int]] = set()
+        self._measured: set[tuple[str, int]] = set()
+        self._input_points: Counter[tuple[str, int, int]] = Counter()
+        self._noted: set[tuple[Path, Place]] = set()
+        self._paths: dict[tuple[int, str], Path] = {}
+        self._since_power: dict[tuple[str, int], int | None] = {}
+        self._levelled: tuple[str, int] | None = None
+
+    def run(self, root: Path) -> tuple[Step, ...]:
+        """Return the steps of the procedure in the file `root`."""
+        document, file = self._documents[root], self._files[root]
+        context = _Context(document, ReadingSection()).inside(document, file)
+        try:
+            self._all(file.steps, ("steps",), context)
+        except _TooLong:
+            text = f"the procedure has more than {MOST_STEPS} steps; check its repeats, counts and includes"
+            self.mistakes.append((document, document.mistake(("steps",), text)))
+        return tuple(self._steps)
+
+    def _key(self, kind: str, where: str = "") -> str:
+        if len(self._steps) >= MOST_STEPS:
+            raise _TooLong
+        return f"{len(self._steps) + 1:04d}/{kind}" + (f"/{where}" if where else "")
+
+    def _once(self, context: _Context, place: Place, text: str) -> None:
+        """Note a mistake of a place once, however often the place is repeated."""
+        if (context.document.path, place) not in self._noted:
+            self._noted.add((context.document.path, place))
+            self.mistakes.append((context.document, context.document.mistake(place, text)))
+
+    def _all(self, entries: Sequence[StepEntry], place: Place, context: _Context) -> None:
+        for index, entry in enumerate(entries):
+            self._one(entry, (*place, index), self._since_switched(context))
+
+    def _one(self, entry: StepEntry, place: Place, context: _Context) -> None:
+        if entry.installation is not None:
+            self._installation(entry.installation, (*place, "installation"), context)
+        elif entry.repeat is not None:
+            self._repeat(entry.repeat, (*place, "repeat"), context)
+        elif entry.turn is not None:
+            self._turn(entry.turn, (*place, "turn"), context)
+        elif entry.read is not None:
+            self._reading(entry.read, (*place, "read"), context)
+        elif entry.input is not None:
+            self._input(entry.input, (*place, "input"), context)
+        elif entry.temperatures is not None:
+            self._temperatures(entry.temperatures, (*place, "temperatures"), context)
+        elif entry.level is not None:
+            self._level(entry.level, place, context)
+        elif entry.include is not None:
+            path = self._path_of(context.document, entry.include)
+            inside = context.inside(self._documents[path], self._files[path])
+            self._all(self._files[path].steps, ("steps",), inside)
+        else:
+            self._alone(entry, context)
+
+    def _alone(self, entry: StepEntry, context: _Context) -> None:
+        """Take a verb that is of the whole bench and holds no steps."""
+        if entry.wait is not None:
+            self._wait(entry.wait.duration, entry.wait.reason)
+        elif entry.settle is not None:
+            self._settle(entry.settle)
+        elif entry.prompt is not None:
+            self._prompt(entry.prompt)
+        elif entry.temperature is not None:
+            self._temperature(entry.temperature, entry.temperature.at)
+        elif entry.power is not None:
+            self._power(entry.power, context)
+
+    def _path_of(self, document: Document, name: str) -> Path:
+        """Return the path by which an included file is known; the system is asked for it once."""
+        if (id(document), name) not in self._paths:
+            self._paths[id(document), name] = (document.path.parent / name).resolve()
+        return self._paths[id(document), name]
+
+    def _installation(self, verb: InstallationVerb, place: Place, context: _Context) -> None:
+        series = verb.series or self._next_series(verb.label)
+        if (verb.label, series) in self._mounted:
+            where = mount_in_words(verb.label, series)
+            text = f"installation {where} was visited before; give this visit a series of its own"
+            self._once(context, (*place, "series"), text)
+        self._mounted.add((verb.label, series))
+        inside = replace(context, installation=verb.label, series=series)
+        if verb.level is not None:
+            key = self._key("level", inside.mount)
+            self._levelled = (verb.label, series)
+            self._steps.append(Level(key, *self._levelled, verb.level.settings, verb.level.within))
+        self._steps.append(Mount(self._key("mount", inside.mount), verb.label, series))
+        self._all(verb.steps, (*place, "steps"), inside)
+
+    def _level(self, verb: LevelVerb, place: Place, context: _Context) -> None:
+        """Read the level as the platform stands: what it was levelled for last has it at its end."""
+        if self._levelled is None:
+            text = (
+                "the platform was not levelled before: give an installation before it 'level: {}', so that this "
+                "shows how it has moved since"
+            )
+            self._once(context, (*place, "level"), text)
+            return
+        label, series = self._levelled
+        mount = label if series == 1 else f"{label}s{series}"
+        self._steps.append(Level(self._key("level", mount), label, series, verb.settings))
+
+    def _next_series(self, label: str) -> int:
+        return max((series for known, series in self._mounted if known == label), default=0) + 1
+
+    def _repeat(self, verb: RepeatVerb, place: Place, context: _Context) -> None:
+        directions = [_DIRECTIONS[word] for word in verb.directions or ()]
+        before = (context.pass_number - 1) * verb.passes
+        for index in range(verb.passes):
+            number = before + index + 1
+            direction = directions[index] if directions else context.direction
+            scan = verb.scans[index] if verb.scans else context.scan
+            inside = replace(context, pass_number=number, direction=direction, scan=scan)
+            self._all(verb.steps, (*place, "steps"), inside)
+
+    def _turn(self, verb: TurnVerb, place: Place, context: _Context) -> None:
+        direction = _DIRECTIONS[verb.direction] if verb.direction else context.direction
+        points = list(enumerate(verb.angles_rad, start=verb.first_point))
+        for point, target_rad in points if direction > 0 else reversed(points):
+            here = replace(
+                self._since_switched(context), direction=direction, point=point, target_rad=target_rad
+            )
+            key = self._key("turn", here.place_key)
+            self._steps.append(Turn(key, *here.place, target_rad, direction, here.failure()))
+            self._all_or_reading(verb.steps, place, here)
+
+    def _all_or_reading(self, steps: Sequence[StepEntry] | None, place: Place, context: _Context) -> None:
+        """Do the steps; where there are none, settle as the section `reading` says and take one reading."""
+        if steps is not None:
+            self._all(steps, (*place, "steps"), context)
+            return
+        settle = context.reading.settle
+        if isinstance(settle, SettleForm):
+            self._settle(settle)
+        elif settle:
+            self._wait(settle, SETTLING)
+        self._reading(ReadVerb(), place, context)
+
+    def _input(self, verb: InputVerb, place: Place, context: _Context) -> None:
+        if self._steps and isinstance(self._steps[-1], SelectInput):
+            self._steps.pop()  # from one input to the next, with nothing between: not by way of the signals
+        self._steps.append(SelectInput(self._key("input"), verb.source, verb.voltage))
+        self._all_or_reading(verb.steps, place, replace(context, input=_INPUTS[verb.source]))
+        self._steps.append(SelectInput(self._key("input"), "signal"))
+
+    def _reading(self, verb: ReadVerb, place: Place, context: _Context) -> None:
+        for index in range(verb.times):
+            if index and verb.pause:
+                self._wait(verb.pause, "until the next reading")
+            if context.input:
+                self._read_input(verb, context)
+            else:
+                self._read_point(verb, place, replace(context, point=context.point + index))
+
+    def _read_input(self, verb: ReadVerb, context: _Context) -> None:
+        """Read the shorted or the reference input; its points are counted through each pass."""
+        where = (context.input, context.series, context.pass_number)
+        self._input_points[where] += 1
+        here = replace(context, installation=context.input, point=self._input_points[where])
+        self._append_read(verb, here, None, None)
+
+    def _read_point(self, verb: ReadVerb, place: Place, context: _Context) -> None:
+        if context.place in self._read:
+            where = mount_in_words(context.installation, context.series)
+            text = (
+                f"point {context.point} of pass {context.pass_number} in installation {where} is read a "
+                "second time; number the points on with 'first_point', or put both into one repeat"
+            )
+            self._once(context, place, text)
+        self._read.add(context.place)
+        self._measured.add((context.installation, context.series))
+        self._append_read(verb, context, context.target_rad, context.direction)
+
+    def _append_read(
+        self, verb: ReadVerb, context: _Context, target_rad: float | None, direction: Direction | None
+    ) -> None:
+        key = self._key("read", context.place_key)
+        samples, nplc = verb.samples or context.reading.samples, verb.nplc or context.reading.nplc
+        failure = context.failure(verb.on_failure, context.reading.on_failure)
+        self._steps.append(
+            Read(key, *context.place, target_rad, direction, samples, nplc, failure, context.scan)
+        )
+
+    def _wait(self, duration_s: float, reason: str) -> None:
+        self._steps.append(Wait(self._key("wait"), duration_s, reason))
+
+    def _settle(self, verb: SettleVerb) -> None:
+        key = self._key("settle")
+        self._steps.append(Settle(key, verb.what, verb.precision, verb.window, verb.timeout, verb.interval))
+
+    def _prompt(self, verb: PromptVerb) -> None:
+        self._steps.append(Ask(self._key("ask"), **dict(verb)))
+
+    def _power(self, verb: PowerVerb, context: _Context) -> None:
+        """Switch the block; what is measured once it is on again, on the same mounting, is a series of its own."""
+        key = self._key("power")
+        self._steps.append(Power(key, verb.switch, verb.off_for or 0.0, verb.warm_up))
+        mounted = (context.installation, context.series)
+        if verb.switch != "off" and mounted in self._measured:
+            self._since_power[mounted] = None
+
+    def _since_switched(self, context: _Context) -> _Context:
+        """Return a context with the series that its mounting has since the block was switched on last."""
+        series = context.series
+        while (mounted := (context.installation, series)) in self._since_power:
+            following = self._since_power[mounted]
+            if following is None:  # the first step since
+                following = self._since_power[mounted] = self._next_series(context.installation)
+                self._mounted.add((context.installation, following))
+            series = following
+        return context if series == context.series else replace(context, series=series)
+
+    def _temperature(self, verb: TemperatureVerb | TemperaturesVerb, at_c: float) -> None:
+        self._steps.append(SetTemperature(self._key("temperature"), at_c))
+        if verb.settle is not None:
+            self._settle(verb.settle)
+        if verb.soak:
+            self._wait(verb.soak, f"soak at {at_c:g} °C")
+
+    def _temperatures(self, verb: TemperaturesVerb, place: Place, context: _Context) -> None:
+        """Do the steps at each temperature; while the block stays mounted, each has a series of its own."""
+        inside = context
+        for at_c in verb.at:
+            self._temperature(verb, at_c)
+            inside = self._since_switched(inside)
+            if (inside.installation, inside.series) in self._measured:
+                inside = replace(inside, series=self._next_series(inside.installation))
+                self._mounted.add((inside.installation, inside.series))
+            self._all(verb.steps, (*place, "steps"), inside)

@@ -1,0 +1,451 @@
+"""What a procedure file may say: steps with one verb each, and the sections beside them."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
+
+from bench.base.arrays import ARCSEC
+from bench.base.forms import FileModel
+from bench.base.units import (
+    AngleRad,
+    DurationS,
+    QuantityKind,
+    SizeRad,
+    SpanS,
+    TemperatureC,
+    VoltageV,
+    parse_quantity,
+)
+from bench.config.procedure.plan import OnFailure, OperatorTime
+from bench.config.procedure.steps import Switching
+from bench.readings.table import UNORIENTED, scan_order
+from drivers.interfaces.person import PromptKind
+
+Positive = Annotated[int, Field(ge=1)]
+
+MOST_SAMPLES: Final = 1_000_000
+"""Of what is waited for to settle."""
+
+TEMPERATURE_DIFFERENCE: Final = QuantityKind("a difference of temperatures", "0.1 K", "K", only=("K", "mK"))
+
+
+class SettleForm(FileModel):
+    """When something has settled: each sample of a `window` within `precision`, one taken each `interval`."""
+
+    precision: float
+    window: DurationS
+    timeout: DurationS
+    interval: DurationS
+
+    @model_validator(mode="after")
+    def _can_come_about(self) -> SettleForm:
+        if self.precision <= 0.0:
+            raise ValueError("the precision is more than nothing: no two samples are ever the same")
+        if not 0.0 < self.interval <= self.window:
+            raise ValueError("the interval is longer than nothing and no longer than the window")
+        if self.timeout > MOST_SAMPLES * self.interval:
+            raise ValueError(f"an interval so short takes more than {MOST_SAMPLES} samples until the timeout")
+        if self.timeout < self.window + self.interval:
+            raise ValueError(
+                "the timeout is at least the window and one interval: one sample is older than it"
+            )
+        return self
+
+
+class SignalSettle(SettleForm):
+    """Settling of the three signals, V."""
+
+    what: Literal["signals"] = "signals"
+    precision: VoltageV
+    interval: DurationS = 1.0
+
+
+class TemperatureSettle(SettleForm):
+    """Settling of the temperature at the block, K."""
+
+    what: Literal["temperature"] = "temperature"
+    precision: Annotated[float, BeforeValidator(lambda text: parse_quantity(text, TEMPERATURE_DIFFERENCE))]
+    interval: DurationS = 60.0
+
+
+def _what_settles(written: Any) -> str:
+    what = written.get("what") if isinstance(written, dict) else getattr(written, "what", None)
+    return "temperature that settles" if what == "temperature" else "signals that settle"
+
+
+SettleVerb = Annotated[
+    Annotated[SignalSettle, Tag("signals that settle")]
+    | Annotated[TemperatureSettle, Tag("temperature that settles")],
+    Discriminator(_what_settles),
+]
+
+
+def _form_of_settling(written: Any) -> str:
+    return "settling of signals" if isinstance(written, dict | SignalSettle) else "time to settle"
+
+
+class FailureSection(FileModel):
+    """What becomes of a turn or a reading that fails: how often it is repeated, and then?"""
+
+    repeat: Annotated[int, Field(ge=0, le=100)] = 1
+    then: Literal["stop", "continue"] = "stop"
+
+    def to_plan(self) -> OnFailure:
+        """Return it as a plan holds it."""
+        return OnFailure(self.repeat, self.then)
+
+
+class ReadingSection(FileModel):
+    """How a reading is taken unless a step says otherwise: samples, power-line cycles, settling before it.
+
+    `settle` is a plain time to wait, or says when the signals have settled.
+    """
+
+    samples: Positive = 10
+    nplc: Annotated[float, Field(gt=0.0)] = 10.0
+    settle: Annotated[
+        Annotated[SpanS, Tag("time to settle")] | Annotated[SignalSettle, Tag("settling of signals")],
+        Discriminator(_form_of_settling),
+    ] = 5.0
+    on_failure: FailureSection | None = None
+
+
+class OperatorTimeSection(FileModel):
+    """Expected times of the operator, for the estimate of a plan's duration alone."""
+
+    turn: SpanS = 120.0
+    mount: SpanS = 1200.0
+    answer: SpanS = 30.0
+    input: SpanS = 60.0
+
+    def to_plan(self) -> OperatorTime:
+        """Return the times as a plan holds them."""
+        return OperatorTime(self.turn, self.mount, self.answer, self.input)
+
+
+Steps = Annotated[tuple["StepEntry", ...], Field(min_length=1)]
+DirectionWord = Literal["rising", "falling"]
+
+VERBS: Final = ("installation", "repeat", "turn", "read", "input", "wait", "settle", "prompt", "temperature",
+                "temperatures", "level", "power", "include")  # fmt: skip
+_TURN_RAD: Final = math.tau + 1e-9
+
+
+def _within_a_turn(angle_rad: float) -> float:
+    if abs(angle_rad) > _TURN_RAD:
+        raise ValueError(f"an angle lies within ±360°, not at {math.degrees(angle_rad):g}°")
+    return angle_rad
+
+
+def _an_order(text: str) -> str:
+    scan_order(text)
+    return text.strip().lower()
+
+
+ScanWord = Annotated[str, AfterValidator(_an_order)]
+Angle = Annotated[AngleRad, AfterValidator(_within_a_turn)]
+
+
+class LevelVerb(FileModel):
+    """Read the level on the platform, the head at 0°, in two positions half a turn apart.
+
+    The head is set to 0° anew for each of `settings`: how exactly it is set is most of what α2 is known to.
+    """
+
+    settings: Annotated[int, Field(ge=1, le=100)] = 1
+
+
+class LevelSection(LevelVerb):
+    """Level the platform before the block is mounted, measure what is left; beyond `within` it is done again."""
+
+    within: SizeRad = 10.0 * ARCSEC
+
+    @field_validator("within")
+    @classmethod
+    def _has_width(cls, within_rad: float) -> float:
+        if within_rad == 0.0:
+            raise ValueError("expected more than nothing: no platform is exactly level")
+        return within_rad
+
+
+class InstallationVerb(FileModel):
+    """Mount the block; `series` numbers the visits to an installation, by itself where it is left out.
+
+    With `level` the platform is levelled before.
+    """
+
+    label: str
+    series: Positive | None = None
+    level: LevelSection | None = None
+    steps: Steps
+
+    @field_validator("label")
+    @classmethod
+    def _oriented(cls, label: str) -> str:
+        if label in UNORIENTED:
+            raise ValueError(f"'{label}' stands for readings without orientation and cannot be mounted")
+        if not label.isalnum():
+            raise ValueError(f"a label is letters and digits such as '1' or 'V', not '{label}'")
+        return label
+
+
+class RepeatVerb(FileModel):
+    """Passes: so many `times`, or one for each of `directions`, which then hold for the turns inside.
+
+    `scans` says for each pass in which order the channels are read, such as [xyz, zyx].
+    """
+
+    times: Positive | None = None
+    directions: Annotated[tuple[DirectionWord, ...], Field(min_length=1)] | None = None
+    scans: Annotated[tuple[ScanWord, ...], Field(min_length=1)] | None = None
+    steps: Steps
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> RepeatVerb:
+        if (self.times is None) == (self.directions is None):
+            raise ValueError("a repeat has either 'times' or 'directions'")
+        return self
+
+    @model_validator(mode="after")
+    def _a_scan_for_each(self) -> RepeatVerb:
+        if self.scans is not None and len(self.scans) != self.passes:
+            raise ValueError(f"'scans' has an order for each pass: {self.passes}, not {len(self.scans)}")
+        return self
+
+    @property
+    def passes(self) -> int:
+        """How many passes there are."""
+        return self.times or len(self.directions or ())
+
+
+class AngleSteps(FileModel):
+    """Equally spaced angles: the first, the step, how many."""
+
+    start: Angle = Field(alias="from")
+    step: AngleRad
+    count: Annotated[int, Field(ge=1, le=100_000)]
+
+    @model_validator(mode="after")
+    def _end_within_a_turn(self) -> AngleSteps:
+        _within_a_turn(self.start + (self.count - 1) * self.step)
+        return self
+
+    @property
+    def angles_rad(self) -> tuple[float, ...]:
+        """The angles, rad."""
+        return tuple(self.start + i * self.step for i in range(self.count))
+
+
+def _form_of_angles(written: Any) -> str:
+    return "steps of angle" if isinstance(written, dict | AngleSteps) else "list of angles"
+
+
+class TurnVerb(FileModel):
+    """Turn through angles; at each the steps are done, or settling and one reading where there are none.
+
+    Points are numbered from `first_point` in the order of the list; a falling pass visits the list in
+    reverse, and a point keeps its number.
+    """
+
+    angles: Annotated[
+        Annotated[tuple[Angle, ...], Field(min_length=1), Tag("list of angles")]
+        | Annotated[AngleSteps, Tag("steps of angle")],
+        Discriminator(_form_of_angles),
+    ]
+    direction: DirectionWord | None = None
+    first_point: Positive = 1
+    steps: Steps | None = None
+
+    @property
+    def angles_rad(self) -> tuple[float, ...]:
+        """The angles in the order of the list, rad."""
+        return self.angles.angles_rad if isinstance(self.angles, AngleSteps) else self.angles
+
+
+class ReadVerb(FileModel):
+    """Take a reading, or so many `times` with a `pause` between them, each a point numbered on from the last.
+
+    What is left out is as in the section `reading`.
+    """
+
+    samples: Positive | None = None
+    nplc: Annotated[float, Field(gt=0.0)] | None = None
+    times: Annotated[int, Field(ge=1, le=100_000)] = 1
+    pause: SpanS = 0.0
+    on_failure: FailureSection | None = None
+
+    @model_validator(mode="after")
+    def _pause_between_two(self) -> ReadVerb:
+        if self.pause and self.times == 1:
+            raise ValueError("a pause stands between readings; say with 'times' how many there are")
+        return self
+
+
+class InputVerb(FileModel):
+    """Switch all three inputs to a short or to a reference, do the steps, switch them back to the signals.
+
+    Where there are no steps: settling and one reading. Readings inside are of installation S or R, and their
+    points are numbered by themselves.
+    """
+
+    source: Literal["short", "reference"]
+    voltage: VoltageV | None = None
+    steps: Steps | None = None
+
+    @model_validator(mode="after")
+    def _voltage_of_a_reference(self) -> InputVerb:
+        if (self.source == "reference") != (self.voltage is not None):
+            raise ValueError("an input of source 'reference' has a voltage, and no other has")
+        return self
+
+
+class WaitVerb(FileModel):
+    """Let bench time pass."""
+
+    duration: SpanS = Field(alias="for")
+    reason: str = "waiting"
+
+
+class PromptVerb(FileModel):
+    """Ask the operator; the answer is recorded. Without a default a dry run cannot answer."""
+
+    kind: PromptKind
+    text: str
+    default: str | None = None
+    unit: Annotated[str, Field(min_length=0)] = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _default_fits(self) -> PromptVerb:
+        if (self.kind is PromptKind.CHOOSE) != bool(self.choices):
+            raise ValueError("a prompt of kind 'choose' has choices, and no other kind has")
+        if self.kind is not PromptKind.NUMBER and not (self.minimum is None and self.maximum is None):
+            raise ValueError("only a prompt of kind 'number' has a minimum and a maximum")
+        if self.default is None:
+            return self
+        if self.kind is PromptKind.CHOOSE and self.default not in self.choices:
+            raise ValueError(f"the default '{self.default}' is not among the choices")
+        if self.kind is PromptKind.CONFIRM and self.default not in {"yes", "no"}:
+            raise ValueError(f"the default of a confirmation is yes or no, not '{self.default}'")
+        if self.kind is PromptKind.NUMBER:
+            self._check_default_number(self.default)
+        return self
+
+    def _check_default_number(self, default: str) -> None:
+        try:
+            value = float(default)
+        except ValueError:
+            raise ValueError(f"the default '{default}' is not a number") from None
+        low = -math.inf if self.minimum is None else self.minimum
+        high = math.inf if self.maximum is None else self.maximum
+        if not low <= value <= high:
+            raise ValueError(f"the default {value:g} is not between {low:g} and {high:g}")
+
+
+class TemperatureVerb(FileModel):
+    """Set the chamber, wait until the temperature has settled, then let the block soak."""
+
+    at: TemperatureC
+    settle: TemperatureSettle | None = None
+    soak: SpanS = 0.0
+
+
+class TemperaturesVerb(FileModel):
+    """Do the steps at one temperature after the other, each as the verb `temperature` would set it.
+
+    Inside an installation the block stays mounted, and each temperature is a series of its own.
+    """
+
+    at: Annotated[tuple[TemperatureC, ...], Field(min_length=1)]
+    settle: TemperatureSettle | None = None
+    soak: SpanS = 0.0
+    steps: Steps
+
+
+class PowerVerb(FileModel):
+    """Switch the block on or off, or off and on again: `power: on`, `power: {switch: cycle, off_for: 10 min}`.
+
+    In a cycle it is off for `off_for` at least, and never for less than the bench file says. Once it is on it warms
+    up as the bench file says, or for `warm_up`.
+    """
+
+    switch: Switching
+    off_for: SpanS | None = None
+    warm_up: SpanS | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _a_word(cls, written: Any) -> Any:
+        return {"switch": written} if isinstance(written, str) else written
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> PowerVerb:
+        if self.off_for is not None and self.switch != "cycle":
+            raise ValueError("only a cycle has 'off_for': how long the block is off in it")
+        if self.warm_up is not None and self.switch == "off":
+            raise ValueError("a block that is switched off does not warm up; leave 'warm_up' out")
+        return self
+
+
+class StepEntry(FileModel):
+    """One step: exactly one of the verbs."""
+
+    installation: InstallationVerb | None = None
+    repeat: RepeatVerb | None = None
+    turn: TurnVerb | None = None
+    read: ReadVerb | None = None
+    input: InputVerb | None = None
+    wait: WaitVerb | None = None
+    settle: SettleVerb | None = None
+    prompt: PromptVerb | None = None
+    temperature: TemperatureVerb | None = None
+    temperatures: TemperaturesVerb | None = None
+    power: PowerVerb | None = None
+    level: LevelVerb | None = None
+    include: str | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _bare(cls, written: Any) -> Any:
+        """`- read:` with nothing after it is a reading as the section `reading` says; `- level:` one setting."""
+        bare = [verb for verb in ("read", "level") if isinstance(written, dict) and verb in written]
+        return {**written, bare[0]: {}} if bare and written[bare[0]] is None else written
+
+    @model_validator(mode="after")
+    def _one_verb(self) -> StepEntry:
+        given = [verb for verb in self.model_fields_set if getattr(self, verb) is not None]
+        if len(given) != 1:
+            given.sort(key=VERBS.index)
+            got = f", not {' and '.join(given)} together" if given else ", and this one has none"
+            raise ValueError(f"a step has one of the verbs {', '.join(VERBS)}{got}")
+        return self
+
+
+class IncludedFile(FileModel):
+    """A file that others include: whole procedures can be, and then their own `reading` holds inside."""
+
+    procedure: str | None = None
+    title: str = ""
+    reading: ReadingSection | None = None
+    on_failure: FailureSection | None = None
+    operator_time: OperatorTimeSection = OperatorTimeSection()
+    steps: Steps
+
+
+class ProcedureFile(IncludedFile):
+    """A procedure file."""
+
+    procedure: str

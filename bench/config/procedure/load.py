@@ -1,0 +1,241 @@
+"""Procedures, `procedures/*.yaml`: read with what they include, checked, expanded to a flat plan."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from bench.base.computing import uncollected
+from bench.base.files import MEGABYTE
+from bench.base.forms import Document, FileMistake, FileMistakes, load_document, part, validated
+from bench.base.yaml_text import Place
+from bench.config.procedure.check import check
+from bench.config.procedure.expansion import Expansion
+from bench.config.procedure.file import IncludedFile, ProcedureFile
+from bench.config.procedure.plan import Plan
+
+__all__ = ["Procedure", "check", "load_procedure"]
+
+_INCLUDE: Final = "include"
+
+MOST_BYTES: Final = 10 * MEGABYTE
+"""Of the file that is asked for, which may have been written by a program; those that it includes have less."""
+
+MOST_FILES: Final = 1_000
+"""More included files are a slip."""
+
+MOST_DEEP: Final = 100
+"""Files that include each other in a row."""
+
+_TOO_DEEP: Final = "steps and included files stand too deep in each other; put fewer of them into one another"
+
+
+@dataclass(frozen=True)
+class Procedure:
+    """A procedure with the files that it includes; `files` has them in the order of reading, itself first."""
+
+    name: str
+    title: str
+    files: tuple[Path, ...]
+    sha256: str
+    plan: Plan
+
+    def expand(self) -> Plan:
+        """Return the flat plan; it was expanded when the procedure was checked."""
+        return self.plan
+
+
+@uncollected()
+def load_procedure(path: Path) -> Procedure:
+    """Read and check a procedure. Raises `FileMistakes` with every mistake in it and in what it includes."""
+    try:
+        return _loaded(path)
+    except RecursionError:
+        raise FileMistakes(path, [FileMistake(0, "steps", _TOO_DEEP)]) from None
+
+
+def _loaded(path: Path) -> Procedure:
+    tree = _Tree(path)
+    if tree.mistakes:
+        raise FileMistakes(path, sorted(set(tree.mistakes), key=_in_order))
+    root = tree.files[path.resolve()]
+    expansion = Expansion(tree.documents, tree.files)
+    steps = expansion.run(path.resolve())
+    if expansion.mistakes:
+        found = [tree.located(document, mistake) for document, mistake in expansion.mistakes]
+        raise FileMistakes(path, sorted(set(found), key=_in_order))
+    name = root.procedure or path.stem
+    plan = Plan(name, steps, tree.sha256, root.operator_time.to_plan())
+    return Procedure(name, root.title, tuple(d.path for d in tree.documents.values()), tree.sha256, plan)
+
+
+def _in_order(mistake: FileMistake) -> tuple[str, int, str, str]:
+    return mistake.file, mistake.line, mistake.place, mistake.text
+
+
+class _Tree:
+    """A procedure file and everything it includes, by resolved path, with the mistakes in all of them."""
+
+    def __init__(self, path: Path) -> None:
+        self.documents: dict[Path, Document] = {}
+        self.files: dict[Path, IncludedFile] = {}
+        self.mistakes: list[FileMistake] = []
+        self._refused: dict[Path, str] = {}
+        self._checked: set[tuple[Path, frozenset[str]]] = set()
+        self._root = load_document(path, MOST_BYTES)
+        if not (isinstance(self._root.data, dict) and {"procedure", "steps"} & set(self._root.data)):
+            text = "this is no procedure: it has neither 'procedure' nor 'steps'"
+            raise FileMistakes(path, [FileMistake(0, "", text)])
+        self._read(self._root, ProcedureFile, ())
+        self._check_scopes(self._root, part(self._root.data, "steps"), ("steps",), _Scope())
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the bytes of all files together; of one file alone it is the file's own."""
+        digests = [document.sha256 for document in self.documents.values()]
+        return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
+
+    def located(self, document: Document, mistake: FileMistake) -> FileMistake:
+        """Return the mistake with the name of its file, where that is an included one."""
+        return mistake if document is self._root else replace(mistake, file=str(document.path))
+
+    def _read(self, document: Document, model: type[IncludedFile], chain: tuple[Path, ...]) -> None:
+        here = document.path.resolve()
+        self.documents[here] = document
+        try:
+            self.files[here] = validated(document, model)
+        except FileMistakes as error:
+            self.mistakes += [self.located(document, mistake) for mistake in error.mistakes]
+        for place, verb, body in _walk(part(document.data, "steps"), ("steps",)):
+            if verb == _INCLUDE and isinstance(body, str):
+                problem = self._include(document, body, (*chain, here))
+                if problem:
+                    at = document.mistake((*place, _INCLUDE), problem)
+                    self.mistakes.append(self.located(document, at))
+
+    def _include(self, document: Document, name: str, chain: tuple[Path, ...]) -> str:
+        """Read an included file, once; return why it cannot be included, empty where it can."""
+        path = document.path.parent / name
+        key = _resolved(path)
+        if key in chain:
+            circle = [*chain[chain.index(key) :], path]
+            return f"the file includes itself: {' → '.join(p.name for p in circle)}"
+        if key in self.documents:
+            return ""
+        if key not in self._refused:
+            self._refused[key] = self._included(path, key, chain)
+        return self._refused[key]
+
+    def _included(self, path: Path, key: Path, chain: tuple[Path, ...]) -> str:
+        if path.suffix.lower() not in _SUFFIXES or key.suffix.lower() not in _SUFFIXES:
+            return f"{path}: a file to include ends with .yaml or .yml"
+        if len(self.documents) > MOST_FILES:
+            return f"more than {MOST_FILES} files are included; put their steps into fewer"
+        if len(chain) >= MOST_DEEP:
+            return f"{path.name}: files include each other more than {MOST_DEEP} deep; include it further up"
+        try:
+            included = load_document(path)
+        except FileMistakes as error:
+            return self._unreadable(path, error.mistakes[0])
+        if not (isinstance(included.data, dict) and "steps" in included.data):
+            return f"{path}: this is no procedure: it has no 'steps'"
+        self._read(included, IncludedFile, chain)
+        return ""
+
+    def _unreadable(self, path: Path, mistake: FileMistake) -> str:
+        """Say what is wrong with an included file, and quote nothing of it: it may be none of a procedure's."""
+        if not mistake.line:
+            return f"{path}: {mistake.text}"
+        told = f"this is not YAML in UTF-8; 'bench check {path.name}' says more"
+        self.mistakes.append(FileMistake(mistake.line, "", told, str(path)))
+        return ""
+
+    def _check_scopes(self, document: Document, steps: Any, place: Place, scope: _Scope) -> None:
+        """Check that every verb stands where it may; works on what is written, right or wrong.
+
+        An included file is gone through once for each set of verbs that it stands in: no other tells more.
+        """
+        for entry, verb, body in _entries(steps, place):
+            problem = scope.problem(verb)
+            if problem:
+                self.mistakes.append(self.located(document, document.mistake((*entry, verb), problem)))
+            inner = scope.inside(verb)
+            if verb == _INCLUDE and isinstance(body, str):
+                key = _resolved(document.path.parent / body)
+                if key in self.documents and (key, inner.within) not in self._checked:
+                    self._checked.add((key, inner.within))
+                    included = self.documents[key]
+                    self._check_scopes(included, part(included.data, "steps"), ("steps",), inner)
+            elif steps_inside := part(body, "steps"):
+                self._check_scopes(document, steps_inside, (*entry, verb, "steps"), inner)
+
+
+_SUFFIXES: Final = frozenset({".yaml", ".yml"})
+
+
+def _resolved(path: Path) -> Path:
+    """Return a path with its links followed; itself where that cannot be, and reading it will say why."""
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError, ValueError):
+        return path
+
+
+@dataclass(frozen=True)
+class _Scope:
+    """What a step stands in: the verbs around it."""
+
+    within: frozenset[str] = frozenset()
+
+    def inside(self, verb: str) -> _Scope:
+        """Return the scope of the steps of a verb."""
+        return _Scope(self.within | {verb})
+
+    def problem(self, verb: str) -> str:
+        """Return why a verb cannot stand here, empty where it can."""
+        text = ""
+        match verb:
+            case _ if "input" in self.within:
+                if verb in _NOT_IN_AN_INPUT:
+                    text = f"{_a(verb)} stands inside an input, where no signal is connected; end it before"
+            case "installation" if verb in self.within:
+                text = "an installation stands inside another; end the first one before it"
+            case "temperatures" if verb in self.within:
+                text = "a list of temperatures stands inside another; put all into one"
+            case "turn" | "read" if "installation" not in self.within:
+                text = f"a {verb} stands outside of an installation: nobody knows how the block is mounted"
+            case "read" if "turn" not in self.within:
+                text = "a read stands outside of a turn: put it into the turn's steps"
+            case "turn" | "repeat" | "temperatures" | "level" if "turn" in self.within:
+                text = f"{_a(verb)} stands inside the steps of a turn; put it around the turn"
+        return text
+
+
+_NOT_IN_AN_INPUT: Final = frozenset(
+    {"turn", "installation", "input", "temperature", "temperatures", "level", "power"}
+)
+
+
+def _a(verb: str) -> str:
+    """Return what a verb stands for, with its article."""
+    if verb == "power":
+        return "a switching of the block"
+    return "a list of temperatures" if verb == "temperatures" else f"a{'n' * (verb[0] in 'ai')} {verb}"
+
+
+def _entries(steps: Any, place: Place) -> Iterator[tuple[Place, str, Any]]:
+    """Yield place, verb and body of each step of a list as written."""
+    for index, entry in enumerate(steps if isinstance(steps, list) else []):
+        for verb, body in entry.items() if isinstance(entry, dict) else ():
+            yield (*place, index), verb, body
+
+
+def _walk(steps: Any, place: Place) -> Iterator[tuple[Place, str, Any]]:
+    """Yield place, verb and body of each step, those inside others too."""
+    for entry, verb, body in _entries(steps, place):
+        yield entry, verb, body
+        if steps_inside := part(body, "steps"):
+            yield from _walk(steps_inside, (*entry, verb, "steps"))

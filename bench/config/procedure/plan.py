@@ -1,0 +1,252 @@
+"""A plan: what a procedure does, as a flat tuple of frozen steps. Nothing in it touches an instrument."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, Final
+
+from bench.config.bench_file.rails import UnitSupplySection
+from bench.config.procedure.steps import (
+    SETTLING,
+    Ask,
+    InputSource,
+    Level,
+    Mount,
+    OnFailure,
+    Power,
+    Read,
+    SelectInput,
+    SetTemperature,
+    Settle,
+    Settled,
+    Step,
+    Turn,
+    Wait,
+    mount_in_words,
+)
+from drivers.interfaces import PromptKind
+
+__all__ = ["SETTLING", "Ask", "InputSource", "Level", "Mount", "OnFailure", "OperatorTime", "Plan", "Power", "Read",
+           "SelectInput", "SetTemperature", "Settle", "Settled", "Step", "Turn", "Wait"]  # fmt: skip
+
+_SAMPLE_OVERHEAD_S: Final = 0.01
+
+_STEPS: Final[Mapping[str, type[Step]]] = {
+    "mount": Mount, "turn": Turn, "wait": Wait, "settle": Settle, "read": Read, "input": SelectInput,
+    "ask": Ask, "temperature": SetTemperature, "level": Level, "power": Power,
+}  # fmt: skip
+"""Every kind of step by the name it has in counts and in JSON, in the order in which they are told."""
+
+_NAMES: Final = {step: name for name, step in _STEPS.items()}
+_FIELDS: Final = {step: tuple(f.name for f in fields(step)) for step in _NAMES}
+_BY_OPERATOR: Final = (Mount, Turn, SelectInput, Ask, SetTemperature, Level)
+
+
+@dataclass(frozen=True, slots=True)
+class OperatorTime:
+    """How long the operator is expected to take: a turn, a mounting, switching the inputs, any other task, s."""
+
+    turn_s: float = 120.0
+    mount_s: float = 1200.0
+    answer_s: float = 30.0
+    input_s: float = 60.0
+
+
+_ADDED: Final[Mapping[str, object]] = {
+    "on_failure": OnFailure(), "input_s": OperatorTime().input_s, "scan": "",
+}  # fmt: skip
+"""Fields that plans did not have at first, with what their absence means.
+
+At that value they are not written, so that a plan on record keeps its hash; it can never be another one.
+"""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Steps in order, the name of the procedure they come from and the SHA-256 of its files."""
+
+    name: str
+    steps: tuple[Step, ...]
+    procedure_sha256: str
+    operator_time: OperatorTime = OperatorTime()
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of the canonical JSON: the same for equal plans, another after any change."""
+        head = _canonical({**self._head(), "steps": []}).removesuffix("]}")
+        digest = hashlib.sha256(head.encode())  # step by step: a long plan is never one text in memory
+        for index, step in enumerate(self.steps):
+            digest.update((("," if index else "") + _canonical(_step_to_json(step))).encode())
+        digest.update(b"]}")
+        return digest.hexdigest()
+
+    def counts(self) -> dict[str, int]:
+        """Return how many steps there are of each kind that occurs."""
+        found = Counter(type(step) for step in self.steps)
+        return {name: found[step] for name, step in _STEPS.items() if found[step]}
+
+    def operator_actions(self) -> int:
+        """Return how often the operator has something to do on a bench without motors."""
+        return sum(isinstance(step, _BY_OPERATOR) for step in self.steps)
+
+    def begins_on(self) -> bool:
+        """Whether the block is to be on before the first step: unless it is switched before the first reading."""
+        kinds = (type(step) for step in self.steps if isinstance(step, Read | Power))
+        return next(kinds, Read) is Read
+
+    def step_duration_s(
+        self, step: Step, line_hz: float = 50.0, supply: UnitSupplySection | None = None
+    ) -> float:
+        """Return the expected time of a step, s; of settling, the shortest that it can take.
+
+        Autozero makes a sample two integrations long. `supply` is that of the block, which is switched.
+        """
+        match step:
+            case Mount():
+                seconds = self.operator_time.mount_s
+            case Turn():
+                seconds = self.operator_time.turn_s
+            case Wait():
+                seconds = step.duration_s
+            case Settle():
+                seconds = min(step.window_s + step.interval_s, step.timeout_s)
+            case Read():
+                seconds = step.samples * (2.0 * step.nplc / line_hz + _SAMPLE_OVERHEAD_S)
+            case SelectInput():
+                seconds = self.operator_time.input_s
+            case Ask() | SetTemperature():
+                seconds = self.operator_time.answer_s
+            case Power():
+                seconds = power_duration_s(step, supply)
+            case Level():
+                seconds = step.settings * (self.operator_time.turn_s + 4.0 * self.operator_time.answer_s)
+                seconds += self.operator_time.mount_s * (step.within_rad is not None)
+        return seconds
+
+    def duration_by_kind_s(
+        self, line_hz: float = 50.0, supply: UnitSupplySection | None = None
+    ) -> dict[str, float]:
+        """Return the expected time of all steps of each kind that occurs, s, in the order of `counts`.
+
+        Where the block is switched on before the first step, that is of the kind "power", too.
+        """
+        total = dict.fromkeys(self.counts(), 0.0)
+        for step in self.steps:
+            total[_NAMES[type(step)]] += self.step_duration_s(step, line_hz, supply)
+        if supply is not None and self.begins_on():
+            total["power"] = total.get("power", 0.0) + power_duration_s(SWITCHED_ON, supply)
+        return total
+
+    def duration_by_mount_s(
+        self, line_hz: float = 50.0, supply: UnitSupplySection | None = None
+    ) -> dict[str, float]:
+        """Return the expected time of each visit to an installation, s, as it is told: "1", "1 (series 2)".
+
+        What comes before the first mounting stands under the empty text.
+        """
+        total: dict[str, float] = {}
+        if supply is not None and self.begins_on():
+            total[""] = power_duration_s(SWITCHED_ON, supply)
+        mounted = ""
+        for step in self.steps:
+            if isinstance(step, Mount):
+                mounted = mount_in_words(step.installation, step.series)
+            total[mounted] = total.get(mounted, 0.0) + self.step_duration_s(step, line_hz, supply)
+        return total
+
+    def expected_duration_s(self, line_hz: float = 50.0, supply: UnitSupplySection | None = None) -> float:
+        """Return the expected time of the whole plan, s."""
+        return sum(self.duration_by_kind_s(line_hz, supply).values())
+
+    def longest_duration_s(self, line_hz: float = 50.0, supply: UnitSupplySection | None = None) -> float:
+        """Return the time of the whole plan when every settling takes all the time that it may, s."""
+        settling = [step for step in self.steps if isinstance(step, Settle)]
+        longer = sum(step.timeout_s - self.step_duration_s(step, line_hz) for step in settling)
+        if supply is not None:
+            warm_ups = [step for step in self.steps if isinstance(step, Power) and _warms_up(step)]
+            times = len(warm_ups) + self.begins_on()
+            longer += times * (supply.longest_warm_up_s - supply.warm_up_s)
+        return self.expected_duration_s(line_hz, supply) + longer
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the plan as JSON values."""
+        return {**self._head(), "steps": [_step_to_json(step) for step in self.steps]}
+
+    def _head(self) -> dict[str, Any]:
+        times = {f.name: getattr(self.operator_time, f.name) for f in fields(OperatorTime)}
+        return {
+            "name": self.name,
+            "procedure_sha256": self.procedure_sha256,
+            "operator_time": {name: value for name, value in times.items() if value != _ADDED.get(name)},
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Plan:
+        """Return the plan that `to_json` wrote. Raises `ValueError`, `KeyError` or `TypeError` for others."""
+        return cls(
+            str(data["name"]),
+            tuple(_step_from_json(step) for step in data["steps"]),
+            str(data["procedure_sha256"]),
+            OperatorTime(**data["operator_time"]),
+        )
+
+
+SWITCHED_ON: Final = Power("start/power", "on")
+"""What a run does before its first step, where the block has a supply and the plan `begins_on`."""
+
+
+def power_duration_s(step: Power, supply: UnitSupplySection | None) -> float:
+    """Return how long switching takes, s, with the time off and the shortest warm-up, as far as both are stated."""
+    least_off_s, switching_s, warm_up_s = (
+        (0.0, 0.0, 0.0) if supply is None else (supply.least_off, supply.switching_s, supply.warm_up_s)
+    )
+    warm_up_s = warm_up_s if step.warm_up_s is None else step.warm_up_s
+    match step.switch:
+        case "on":
+            return least_off_s + switching_s + warm_up_s
+        case "off":
+            return switching_s
+        case "cycle":
+            return max(step.off_s, least_off_s) + 2.0 * switching_s + warm_up_s
+
+
+def _warms_up(step: Power) -> bool:
+    """Whether a step has the warm-up that the bench file states."""
+    return step.switch != "off" and step.warm_up_s is None
+
+
+def _step_to_json(step: Step) -> dict[str, Any]:
+    written: dict[str, Any] = {"step": _NAMES[type(step)]}
+    for name in _FIELDS[type(step)]:
+        value = getattr(step, name)
+        match value:
+            case tuple():
+                written[name] = list(value)
+            case _ if name in _ADDED and value == _ADDED[name]:
+                continue
+            case OnFailure():
+                written[name] = {"repeats": value.repeats, "then": value.then}
+            case _:
+                written[name] = value
+    return written
+
+
+_canonical: Final = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode
+
+
+def _step_from_json(data: Mapping[str, Any]) -> Step:
+    values = dict(data)
+    name = values.pop("step")
+    if name not in _STEPS:
+        raise ValueError(f"a step of the unknown kind {name!r}")
+    if name == "ask":
+        values["kind"] = PromptKind(values["kind"])
+        values["choices"] = tuple(values["choices"])
+    if "on_failure" in values:
+        values["on_failure"] = OnFailure(**values["on_failure"])
+    return _STEPS[name](**values)

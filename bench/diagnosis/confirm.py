@@ -1,0 +1,311 @@
+"""A model found in other readings held against new ones: with it and without, and what its effects are now.
+
+The effects keep their values; coefficients and stand angles, within their limits, are estimated from the new
+readings by the model with them and by the same one without. What is left is compared with their noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import compress
+from typing import Any, Final, Literal
+
+import numpy as np
+from scipy import special
+
+from bench.base.arrays import CHANNELS, Floats
+from bench.calibration import CalibrationError
+from bench.calibration.design import FIXED, EffectUnknown
+from bench.diagnosis.evidence import KNOWN_SIZE
+from bench.diagnosis.free_result import FreeDiagnosis
+from bench.diagnosis.gap import BY_CHANCE, FLOOR, LEAST_CLOSED, part_closed, rms
+from bench.diagnosis.linear import LinearSystem, make_linear
+from bench.diagnosis.pipeline import diagnose
+from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows
+from bench.diagnosis.result import Diagnosis, EffectValue
+from bench.diagnosis.single_run_search import in_the_noise_of
+from bench.diagnosis.threshold import ThresholdCache
+from bench.model import AppliedEffect, ForwardModel
+from bench.model.effects.in_part import InPart
+from bench.readings.table import Readings
+
+Word = Literal["confirmed", "changed", "gone"]
+
+TOLD: Final = 0.5
+"""A parameter is told where the readings leave less than this part of its wide prior."""
+
+STILL_SEEN: Final = 0.5
+"""What leaves this part of the square by which the effects stand out does not stand for them."""
+
+POWER: Final = 2.0
+"""Beyond what would be significant, in units of noise: an effect so large is seen nearly always."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """What a model leaves of readings: reduced chi-square, root mean square in g, and that of noise alone."""
+
+    reduced: float
+    rms_g: float
+    expected_rms_g: float
+
+
+@dataclass(frozen=True)
+class EffectNow:
+    """An effect of the model in the new readings: its verdict, None where they do not show it.
+
+    `p_same` is the chance of values so far from the model's, `p_none` of values so far from none; `found` are those
+    of the model and `now` those of these readings alone.
+    """
+
+    applied: AppliedEffect
+    verdict: Word | None
+    p_same: float
+    p_none: float
+    found: tuple[EffectValue, ...]
+    now: tuple[EffectValue, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "name": self.applied.effect.name,
+            "channels": list(self.applied.channels),
+            "installations": list(self.applied.installations),
+            "verdict": self.verdict,
+            "p_same": self.p_same,
+            "p_none": self.p_none,
+            "parameters": [
+                {
+                    "parameter": was.parameter,
+                    "channel": was.channel or None,
+                    "value": was.value,
+                    "u": was.u,
+                    "now": now.value,
+                    "u_now": now.u,
+                    "unit": was.unit,
+                }
+                for was, now in zip(self.found, self.now, strict=True)
+            ],
+        }
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """New readings without and with a model's effects; `diagnosis` is that of the readings with it.
+
+    It is a `FreeDiagnosis` where free positions are all there is.
+    """
+
+    before: Model
+    after: Model
+    p_after: float
+    effects: tuple[EffectNow, ...]
+    diagnosis: Diagnosis | FreeDiagnosis
+
+    @property
+    def closed(self) -> float | None:
+        """The part of what is above the floor that the model closes; None where nothing is above it."""
+        return part_closed(self.before.reduced, self.after.reduced)
+
+    @property
+    def verdict(self) -> Word:
+        """Confirmed where all effects that show are as they were and half of the gap closes; gone where none is."""
+        words = {effect.verdict for effect in self.effects} - {None}
+        if words == {"gone"}:
+            return "gone"
+        enough = self.closed is None or self.closed >= LEAST_CLOSED or self.p_after >= BY_CHANCE
+        return "confirmed" if words == {"confirmed"} and enough else "changed"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "closed": self.closed,
+            "before": self.before.reduced,
+            "after": self.after.reduced,
+            "floor": FLOOR,
+            "p_after": self.p_after,
+            "before_rms_ug": 1e6 * self.before.rms_g,
+            "after_rms_ug": 1e6 * self.after.rms_g,
+            "expected_rms_ug": 1e6 * self.after.expected_rms_g,
+            "verdict": self.verdict,
+            "effects": [effect.to_dict() for effect in self.effects],
+            "left": self.diagnosis.verdict,
+        }
+
+
+def confirm(
+    readings: Readings,
+    model: ForwardModel,
+    stand_u: Mapping[str, float],
+    nominal_scale_factors: Floats | None = None,
+    cache: ThresholdCache | None = None,
+) -> Confirmation:
+    """Hold new readings against a model with effects; all as for `diagnose`, which looks for what is left.
+
+    Raises `CalibrationError` where the readings do not determine the coefficients, or could not show the effects.
+    """
+    diagnosis = diagnose(readings, model, stand_u, nominal_scale_factors, cache)
+    corrected, noise = diagnosis.mistakes.corrected, diagnosis.noise
+    stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
+    as_found = partial(in_the_noise_of, diagnosis.linear, diagnosis.weighed)
+    without = as_found(make_linear(corrected, replace(model, effects=()), stand))
+    having = as_found(make_linear(corrected, model, stand))
+    after, chi2 = _left(having, noise)
+    before, _ = _left(without, noise)
+    freedom = len(having) - FIXED
+    return Confirmation(
+        before=before,
+        after=after,
+        p_after=float(special.fdtrc(freedom, noise.freedom, chi2 / freedom)),
+        effects=_now(having, diagnosis),
+        diagnosis=diagnosis,
+    )
+
+
+def _left(linear: LinearSystem, noise: NoiseSize) -> tuple[Model, float]:
+    """Return what a model leaves, and its chi-square: its effects at their values, uncertain as stated."""
+    stated = [unknown.stated for unknown in linear.problem.effects]
+    keep = np.ones(linear.random.shape[1], dtype=bool)
+    keep[linear.own] = stated
+    known = replace(linear, random=linear.random[:, keep])
+    chi2 = _chi2(known, noise)
+    keep[linear.own] = False
+    fixed = replace(linear, random=linear.random[:, keep])
+    nothing = np.zeros((len(linear), 0))
+    fitted = posterior(fixed, nothing, noise)
+    design = np.concatenate([fixed.fixed, fixed.random], axis=1)
+    of_g = (linear.setting >= 0) | (linear.rows.channel > 2)
+    error = (linear.response - design @ fitted.mean)[of_g] * linear.g_per_signal[of_g]
+    variance = (noise.reading * linear.relative) ** 2 + (noise.setting_rad * linear.slope) ** 2
+    variance -= np.einsum("ni,ij,nj->n", design, fitted.covariance, design)
+    expected = np.sqrt(np.maximum(variance, 0.0))[of_g] * linear.g_per_signal[of_g]
+    return Model(chi2 / (len(linear) - FIXED), rms([error]), rms([expected])), chi2
+
+
+def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
+    """Return the least sum of squares of readings and priors, in units of the noise."""
+    fitted = posterior(linear, np.zeros((len(linear), 0)), noise)
+    error = linear.response - np.concatenate([linear.fixed, linear.random], axis=1) @ fitted.mean
+    every = np.ones(len(linear), dtype=bool)
+    white = whiten_rows(linear, noise, error[:, None], every)
+    return float(np.sum(white**2) + np.sum(fitted.mean[FIXED:] ** 2))
+
+
+def _now(linear: LinearSystem, diagnosis: Diagnosis) -> tuple[EffectNow, ...]:
+    """Estimate the effects from these readings alone, and compare. Raises `CalibrationError` where none shows.
+
+    What the model leaves open of their shapes stays as it states it: these readings alone do not tell it better.
+    """
+    model = linear.model
+    whole = [not isinstance(model.effects[one.effect].effect, InPart) for one in linear.problem.effects]
+    unknowns = list(compress(linear.problem.effects, whole))
+    places = np.arange(linear.own.start, linear.own.stop)[np.array(whole, dtype=bool)]
+    plausible = np.array([_plausible(model, unknown) for unknown in unknowns])
+    found = np.array([unknown.prior_mean for unknown in unknowns]) / plausible
+    u = np.array([unknown.prior_u if unknown.stated else 0.0 for unknown in unknowns]) / plausible
+    own = linear.random[:, places] * (plausible / [unknown.prior_u for unknown in unknowns])
+    free = replace(linear, random=np.delete(linear.random, places, axis=1))
+    estimated = _estimated(free, own, found, diagnosis)
+    return judged(model, unknowns, Estimated(plausible, found, u, *estimated))
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """Parameters of effects (m,) in plausible sizes: those of the model with u, and `change` to these readings'."""
+
+    plausible: Floats
+    found: Floats
+    u: Floats
+    change: Floats
+    covariance: Floats
+
+
+def judged(model: ForwardModel, unknowns: Sequence[EffectUnknown], of: Estimated) -> tuple[EffectNow, ...]:
+    """Return what became of each effect of a model. Raises `CalibrationError` where none shows."""
+    plausible, found, u, change, covariance = of.plausible, of.found, of.u, of.change, of.covariance
+    known = np.sqrt(np.diag(covariance))
+    told = known < TOLD * KNOWN_SIZE
+    effects, seen = [], []
+    for number, applied in enumerate(model.effects):
+        if isinstance(applied.effect, InPart):
+            continue
+        mine = np.array([unknown.effect == number for unknown in unknowns], dtype=bool)
+        use = np.flatnonzero(mine & told)
+        own = covariance[np.ix_(use, use)]
+        size, least = np.sqrt(square(found[use], own)), _least(len(use))
+        p_none = _chance(found[use] + change[use], own)
+        p_same = _chance(change[use], own + np.diag(u[use] ** 2))
+        then, now = (
+            tuple(
+                _value(model, unknowns[i], sizes[i] * plausible[i], of_u[i] * plausible[i])
+                for i in np.flatnonzero(mine).tolist()
+            )
+            for sizes, of_u in ((found, u), (found + change, known))
+        )
+        word = _word(p_same, p_none) if size >= least else None
+        effects.append(EffectNow(applied, word, p_same, p_none, then, now))
+        seen.append(f"{applied.effect.name}: {size:.1f} where {least:.1f} would show")
+    if not any(effect.verdict for effect in effects):
+        raise CalibrationError(
+            "these readings could not show what the model has: at its values it is too small beside their noise "
+            f"({'; '.join(seen)}, in units of noise); measure with the procedure in which it was found, or "
+            "more passes"
+        )
+    return tuple(effects)
+
+
+def _estimated(
+    linear: LinearSystem, own: Floats, found: Floats, diagnosis: Diagnosis
+) -> tuple[Floats, Floats]:
+    """Return by how much the effects differ from the values `found` (m,), and the covariance, in plausible sizes.
+
+    What else was found in these readings is estimated with them, unless it would hide them: it stands then for
+    their change.
+    """
+    count, columns = len(found), own
+    fitted = posterior(linear, columns, diagnosis.noise)
+    for one in diagnosis.naming.found:
+        more = np.column_stack([columns, diagnosis.candidates.columns[:, list(one.variant.columns)]])
+        again = posterior(linear, more, diagnosis.noise)
+        seen, beside = (square(found, fit.amplitude_covariance[:count, :count]) for fit in (fitted, again))
+        if beside >= STILL_SEEN * seen:
+            columns, fitted = more, again
+    return fitted.amplitudes[:count], fitted.amplitude_covariance[:count, :count]
+
+
+def _chance(part: Floats, covariance: Floats) -> float:
+    return float(special.chdtrc(len(part), square(part, covariance))) if len(part) else 1.0
+
+
+def _word(p_same: float, p_none: float) -> Word:
+    if p_none >= BY_CHANCE:
+        return "gone"
+    return "confirmed" if p_same >= BY_CHANCE else "changed"
+
+
+def _least(count: int) -> float:
+    """Return the size in units of noise from which an effect of so many numbers is seen nearly always."""
+    return float(np.sqrt(special.chdtri(count, BY_CHANCE))) + POWER if count else float("inf")
+
+
+def square(part: Floats, covariance: Floats) -> float:
+    """Return the square of a part of the parameters in units of their noise."""
+    return float(part @ np.linalg.solve(covariance, part)) if len(part) else 0.0
+
+
+def _plausible(model: ForwardModel, unknown: EffectUnknown) -> float:
+    effect = model.effects[unknown.effect].effect
+    return next(p.plausible for p in effect.parameters if p.name == unknown.parameter)
+
+
+def _value(model: ForwardModel, unknown: EffectUnknown, value: float, u: float) -> EffectValue:
+    applied = model.effects[unknown.effect]
+    parameter = next(p for p in applied.effect.parameters if p.name == unknown.parameter)
+    channel = "" if unknown.channel is None else CHANNELS[unknown.channel]
+    mounts = "+".join(applied.installations)
+    scale = parameter.si_per_unit
+    return EffectValue(
+        unknown.parameter, channel, mounts, float(value / scale), float(u / scale), parameter.unit
+    )

@@ -1,0 +1,363 @@
+"""Bayesian evidence of every candidate, with priors on physical size, the noise unknown.
+
+For a variant with whitened columns A, prior b ~ N(0, s^2) of each in units of its plausible size, and
+residual r of nu numbers with unknown variance (Jeffreys prior), the evidence is
+-1/2 ln|I + s^2 A^T A| - nu/2 ln(r^T r - r^T A (A^T A + 1/s^2)^-1 A^T r). It is averaged over a few s (a
+plausible size is a guess: a heavy tail lets the data overrule it) and over the ratio of the two noise sizes.
+Everything needed of data is r^T r and A^T r, so that many data sets are scored at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from bench.base.arrays import Floats, Ints
+from bench.base.computing import tracked
+from bench.diagnosis.candidates import Candidates
+from bench.diagnosis.noise_grid import NoiseGrid, OfColumns, OfGram, Products
+
+SIZES: Final = (1.0, 4.0, 20.0)
+LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))
+"""Prior: so many plausible sizes large, with such a probability."""
+
+KNOWN_SIZE: Final = 20.0
+"""Prior size of an effect that the model has by now, in plausible sizes: the data decide."""
+
+EXCLUDED: Final = -1e9
+"""ln of the evidence of a variant that the model has in part already."""
+
+CHUNK: Final = 200
+"""Data sets scored at once."""
+
+
+@dataclass(frozen=True)
+class Data:
+    """What is needed of data sets: r^T r (ratios, sets) and A^T r (ratios, P, sets)."""
+
+    square: Floats
+    along: Floats
+
+    def at(self, ratio: int) -> Data:
+        """Return what is needed for one ratio alone."""
+        return Data(self.square[ratio : ratio + 1], self.along[ratio : ratio + 1])
+
+    def part(self, of: slice) -> Data:
+        """Return some of the sets."""
+        return Data(self.square[:, of], self.along[:, :, of])
+
+    @property
+    def sets(self) -> int:
+        """How many data sets."""
+        return int(self.square.shape[1])
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """The candidates' columns in units of the noise, by their scalar products.
+
+    `kept` is for who searches in the same data again and again; `part_of` is the whole of what is one ratio of it.
+    """
+
+    grid: NoiseGrid
+    candidates: Candidates
+    products: Products
+    part_of: tuple[Whitened, int] | None = field(default=None, compare=False, repr=False)
+    kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+
+    @classmethod
+    def of(cls, grid: NoiseGrid, candidates: Candidates, *, few_known: bool = False) -> Whitened:
+        """Whiten the columns of all candidates; with `few_known` no products are made but what models need."""
+        rows, many = candidates.columns.shape
+        scaled = candidates.columns / grid.sigma
+        if many > rows or few_known:
+            whitened = np.empty((len(grid.white), rows, many))
+            for ratio, white in enumerate(grid.white):
+                whitened[ratio] = white @ scaled
+            return cls(grid, candidates, OfColumns(whitened))
+        gram = np.empty((len(grid.white), many, many))
+        for ratio, white in enumerate(grid.white):
+            columns = white @ scaled
+            gram[ratio] = columns.T @ columns
+        return cls(grid, candidates, OfGram(gram))
+
+    @property
+    def ratios(self) -> int:
+        """How many ratios of the noise sizes there are."""
+        return len(self.grid.white)
+
+    def at(self, ratio: int) -> Whitened:
+        """Return the columns for one ratio alone."""
+        return Whitened(self.grid.at(ratio), self.candidates, self.products.at(ratio), (self, ratio))
+
+    def among(self, ratio: int, columns: Sequence[int]) -> Floats:
+        """Return the Gram matrix (k, k) of some columns for one ratio."""
+        return np.asarray(self.products.at(ratio).among(np.array(columns, dtype=np.int64))[0])
+
+    @cached_property
+    def square(self) -> Floats:
+        """The square of each column, shape (ratios, P)."""
+        single = np.arange(self.candidates.columns.shape[1])[:, None]
+        return np.asarray(self.products.among(single)[..., 0, 0])
+
+    @cached_property
+    def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
+        """Variants with equally many columns: their numbers (v,), columns (v, p), Gram (ratios, v, p, p)."""
+        if self.part_of is not None:
+            whole, ratio = self.part_of
+            return tuple(
+                (members, columns, gram[ratio : ratio + 1]) for members, columns, gram in whole.blocks
+            )
+        by_size: dict[int, list[int]] = {}
+        for number, variant in enumerate(self.candidates.variants):
+            by_size.setdefault(len(variant.columns), []).append(number)
+        return tuple(
+            (np.array(members), columns, self.products.among(columns))
+            for members in by_size.values()
+            for columns in (np.array([self.candidates.variants[m].columns for m in members]),)
+        )
+
+    def reduce(self, response: Floats) -> Data:
+        """Return what is needed of responses (N, sets)."""
+        sets, size = response.shape[1], self.grid.sigma
+        square = np.empty((len(self.grid.white), sets))
+        along = np.empty((len(self.grid.white), self.candidates.columns.shape[1], sets))
+        for start in range(0, sets, CHUNK):
+            part = slice(start, start + CHUNK)
+            for ratio, white in enumerate(self.grid.white):
+                weighed = white.weigh(response[:, part] / size)
+                square[ratio, part] = np.einsum("ns,ns->s", response[:, part] / size, weighed)
+                along[ratio, :, part] = self.candidates.columns.T @ (weighed / size)
+        return Data(square, along)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Variants with equally many columns; eigenvectors (ratios, variants, p, p), eigenvalues (…, p)."""
+
+    members: Ints
+    columns: Ints
+    vectors: Floats
+    values: Floats
+
+
+@dataclass(frozen=True)
+class Search:
+    """All variants beside a model that has the `known` columns already.
+
+    `inner` (ratios, known, known) is the Gram matrix of the known columns with their wide prior, `half` (ratios,
+    known, P) the products with all others behind its inverse Cholesky factor, `gain` (ratios, known, P) fits them.
+    """
+
+    whitened: Whitened
+    known: tuple[int, ...]
+    gain: Floats
+    half: Floats
+    inner: Floats
+    log_det: Floats
+
+    @classmethod
+    def beside(cls, whitened: Whitened, known: Sequence[int]) -> Search:
+        """Project the known columns out of all others."""
+        h = np.array(known, dtype=np.int64)
+        across = whitened.products.across(h)
+        return cls._of(whitened, tuple(known), across, across[:, :, h])
+
+    @classmethod
+    def _of(cls, whitened: Whitened, known: tuple[int, ...], across: Floats, among: Floats) -> Search:
+        """Project columns out whose products with all are `across` (…, k, P), with each other `among` (…, k, k)."""
+        inner = among + np.eye(among.shape[-1]) / KNOWN_SIZE**2
+        factor = np.linalg.cholesky(inner)
+        inverse = np.linalg.inv(factor)
+        half = inverse @ across
+        gain = np.swapaxes(inverse, 1, 2) @ half
+        diagonal = np.diagonal(factor, axis1=1, axis2=2)
+        log_det = -np.sum(np.log(KNOWN_SIZE * diagonal), axis=1)
+        return cls(whitened, known, gain, half, inner, log_det)
+
+    @cached_property
+    def groups(self) -> tuple[Group, ...]:
+        """The variants that have none of the known columns."""
+        taken = np.zeros(self.whitened.candidates.columns.shape[1], dtype=bool)
+        taken[list(self.known)] = True
+        groups = []
+        for members, columns, blocks in self.whitened.blocks:
+            free = ~taken[columns].any(axis=1)
+            if free.any():
+                groups.append(self._group(members[free], columns[free], blocks[:, free]))
+        return tuple(groups)
+
+    def _group(self, members: Ints, columns: Ints, blocks: Floats) -> Group:
+        if self.half.shape[1]:
+            seen = np.moveaxis(self.half[:, :, columns], 1, 2)
+            blocks = blocks - np.swapaxes(seen, 2, 3) @ seen
+        match columns.shape[1]:
+            case 1:
+                values, vectors = blocks[:, :, 0], np.ones_like(blocks)
+            case 2:
+                values, vectors = _of_pairs(blocks)
+            case _:
+                values, vectors = np.linalg.eigh(blocks)
+        return Group(members, columns, vectors, np.maximum(values, 0.0))
+
+    @cached_property
+    def _together(self) -> tuple[Ints, Ints, Floats]:
+        """The groups' members (v,), where the eigenvalues of each begin (v,), and these (ratios, e)."""
+        values = [group.values for group in self.groups]
+        counts = np.concatenate([np.full(of.shape[1], of.shape[2]) for of in values])
+        starts = np.cumsum(counts) - counts
+        flat = np.concatenate([of.reshape(len(of), -1) for of in values], axis=1)
+        return np.concatenate([group.members for group in self.groups]), starts, flat
+
+    def between(self, ratio: int, columns: Sequence[int]) -> Floats:
+        """Return the Gram matrix (k, k) of some columns, the known ones projected out."""
+        gram = self.whitened.among(ratio, columns)
+        seen = self.half[ratio][:, list(columns)]
+        return np.asarray(gram - seen.T @ seen)
+
+    def along(self, ratio: int, columns: Sequence[int], sizes: Floats) -> Floats:
+        """Return the products of columns (k,) times their sizes with all, the known ones projected out, (P,)."""
+        chosen = np.array(columns, dtype=np.int64)
+        across = sizes @ self.whitened.products.across_at(ratio, chosen)
+        return np.asarray(across - (self.half[ratio][:, chosen] @ sizes) @ self.half[ratio])
+
+    def left_over(self, data: Data) -> Data:
+        """Return the data with the known columns fitted."""
+        if not self.known:
+            return data
+        at_known = data.along[:, list(self.known)]
+        fitted = np.swapaxes(self.gain, 1, 2) @ at_known
+        explained = np.einsum("ghs,ghs->gs", at_known, np.linalg.solve(self.inner, at_known))
+        return Data(data.square - explained, data.along - fitted)
+
+    def likelihood_ratio(self, data: Data, members: Sequence[int]) -> Floats:
+        """Return ln of the largest ratio of likelihoods that one of some variants gives, or 0, shape (sets,).
+
+        Its numbers are as free as those that the model has by now, and pay no price for it.
+        """
+        left, grid = self.left_over(data), self.whitened.grid
+        base = (grid.log_prior + grid.log_det + self.log_det)[:, None]
+        of_null = _log_sum(base + grid.log_likelihood(left.square))
+        best = np.zeros(left.sets)
+        for group in self.groups:
+            for place in np.flatnonzero(np.isin(group.members, members)):
+                along = left.along[:, group.columns[place]]
+                along = np.swapaxes(group.vectors[:, place], 1, 2) @ along
+                weight = 1.0 / (group.values[:, place] + 1.0 / KNOWN_SIZE**2)
+                explained = np.sum(along**2 * weight[:, :, None], axis=1)
+                rest = np.maximum(left.square - explained, 1e-12 * left.square)
+                best = np.maximum(best, _log_sum(base + grid.log_likelihood(rest)) - of_null)
+        return best
+
+    def score(self, data: Data) -> Scores:
+        """Return the evidence of each variant and of the model as it is."""
+        left = self.left_over(data)
+        begun = tracked(range(0, left.sets, CHUNK), "what chance alone would show")
+        parts = [self._score(left.part(slice(i, i + CHUNK))) for i in begun]
+        return Scores(
+            np.concatenate([p.variants for p in parts], axis=1),
+            np.concatenate([p.ratio for p in parts], axis=1),
+        )
+
+    def _score(self, left: Data) -> Scores:
+        grid = self.whitened.grid
+        base = (grid.log_prior + grid.log_det + self.log_det)[:, None]
+        of_null = base + grid.log_likelihood(left.square)
+        null = _log_sum(of_null)
+        out = np.full((len(self.whitened.candidates.variants), left.sets), EXCLUDED)
+        if self.groups:
+            out[self._together[0]] = _log_sum(base[:, None] + self._likelihoods(left))
+        return Scores(out - null, np.exp(of_null - null))
+
+    def _likelihoods(self, left: Data) -> Floats:
+        """Return ln of the likelihood of the data with each member of the groups, shape (ratios, v, sets)."""
+        grid = self.whitened.grid
+        _, starts, values = self._together
+        squares = np.concatenate([_along(group, left) for group in self.groups], axis=1)
+        of_size = []
+        for size, log_weight in zip(SIZES, LOG_SIZE_WEIGHTS, strict=True):
+            weight = 1.0 / (values + 1.0 / size**2)
+            explained = np.add.reduceat(squares * weight[:, :, None], starts, axis=1)
+            rest = np.maximum(left.square[:, None] - explained, 1e-12 * left.square[:, None])
+            cost = 0.5 * np.add.reduceat(np.log1p(size**2 * values), starts, axis=1)
+            of_size.append(log_weight - cost[:, :, None] + grid.log_likelihood(rest))
+        return _log_sum(np.stack(of_size))
+
+
+def beside_each(whitened: Whitened, data: Data, models: Sequence[Sequence[int]]) -> Floats:
+    """Return what `Search.beside(…).score(…).families` does for each of several models, shape (families, models).
+
+    Of one data set at one ratio of the noises; `models` are their known columns. They stand in the place of the
+    ratios, those with fewer columns than others filled up with columns of nothing.
+    """
+    many = max(len(known) for known in models)
+    known = np.array([[*columns, *[-1] * (many - len(columns))] for columns in models])
+    there = known >= 0
+    used = np.unique(known[there])
+    place = np.searchsorted(used, np.where(there, known, used[0]))
+    across = np.where(there[:, :, None], whitened.products.across(used)[0][place], 0.0)
+    among = np.take_along_axis(across, np.where(there, known, 0)[:, None, :], axis=2) * there[:, None, :]
+    search = Search._of(whitened, tuple(set(models[0]).intersection(*models)), across, among)
+    at_known = np.where(there, data.along[0, known, 0], 0.0)[:, :, None]
+    fitted = np.swapaxes(search.gain, 1, 2) @ at_known
+    explained = np.einsum("ghs,ghs->gs", at_known, np.linalg.solve(search.inner, at_known))
+    left = Data(data.square - explained, data.along - fitted)
+    scores = np.full((len(whitened.candidates.variants), len(models)), EXCLUDED)
+    if search.groups:
+        with_one = search._likelihoods(left)[:, :, 0]
+        scores[search._together[0]] = (with_one - whitened.grid.log_likelihood(left.square)).T
+    taken = np.zeros((len(models), data.along.shape[1]), dtype=bool)
+    taken[np.nonzero(there)[0], known[there]] = True
+    for members, columns, _ in whitened.blocks:
+        scores[members] = np.where(taken[:, columns].any(axis=2).T, EXCLUDED, scores[members])
+    return Scores(scores, np.ones((1, len(models)))).families(whitened.candidates)
+
+
+@dataclass(frozen=True)
+class Scores:
+    """ln of the evidence of each variant over that of the model as it is (variants, sets).
+
+    `ratio` (ratios, sets) is the probability of each noise ratio in the latter.
+    """
+
+    variants: Floats
+    ratio: Floats
+
+    def families(self, candidates: Candidates) -> Floats:
+        """Return ln of the mean evidence of each family (families, sets): the price of its many forms."""
+        ordered = self.variants[candidates.by_family]
+        starts = candidates.family_starts
+        counts = np.diff([*starts, len(ordered)])
+        largest = np.maximum.reduceat(ordered, starts, axis=0)
+        parts = np.exp(ordered - np.repeat(largest, counts, axis=0))
+        mean: Floats = largest + np.log(np.add.reduceat(parts, starts, axis=0) / counts[:, None])
+        return mean
+
+
+def _along(group: Group, left: Data) -> Floats:
+    """Return the squares of data along the eigenvectors of a group, shape (ratios, e, sets)."""
+    along = left.along[:, group.columns]
+    if group.columns.shape[1] > 1:
+        along = np.swapaxes(group.vectors, 2, 3) @ along
+    return np.asarray(along.reshape(len(along), -1, left.sets) ** 2)
+
+
+def _log_sum(logarithms: Floats) -> Floats:
+    """Return ln of the sum of exponentials along the first axis, none of which is infinite."""
+    largest = logarithms.max(axis=0)
+    total: Floats = largest + np.log(np.sum(np.exp(logarithms - largest), axis=0))
+    return total
+
+
+def _of_pairs(blocks: Floats) -> tuple[Floats, Floats]:
+    """Return eigenvalues (…, 2) and eigenvectors (…, 2, 2) of symmetric matrices (…, 2, 2)."""
+    first, second, mixed = blocks[..., 0, 0], blocks[..., 1, 1], blocks[..., 0, 1]
+    middle, apart = (first + second) / 2, (first - second) / 2
+    radius, turn = np.hypot(apart, mixed), np.arctan2(mixed, apart) / 2
+    cosine, sine = np.cos(turn), np.sin(turn)
+    vectors = np.stack([np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)], axis=-2)
+    return np.stack([middle + radius, middle - radius], axis=-1), vectors

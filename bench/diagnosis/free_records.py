@@ -1,0 +1,419 @@
+"""Free positions as one linear system, |a| = 1 g in every row; how zeros go between records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from bench.base.arrays import CHANNELS, Floats, Ints, Mask
+from bench.calibration.design import UPPER, EffectUnknown, make_problem
+from bench.calibration.free import first_guess_free
+from bench.calibration.result import CalibrationError
+from bench.calibration.verification import modulus_slopes
+from bench.model.block import Block
+from bench.model.effects.base import AppliedEffect
+from bench.model.forward import ForwardModel
+from bench.readings.joined import JoinedPart, together
+from bench.readings.table import Readings
+
+SAME_TIME_S: Final = 1.0
+"""Positions of two tables at the same times, within this, are of sensors side by side."""
+SCALE_BETWEEN: Final = 1e-3
+ZERO_BETWEEN_G: Final = 5e-3
+"""How far scale factors and zeros of a sensor go between records: to tell sensors apart by their distance."""
+ANOTHER: Final = 4.0
+"""Further than so many of these is another sensor, where times do not tell."""
+ROUNDS: Final = 6
+AT_REST_G: Final = 0.1
+"""Further off 1 g, whatever the coefficients, are no positions at rest: what sensors do is a tenth of it."""
+OWN: Final = len(UPPER)
+ZEROS: Final = (6, 7, 8)
+SCALES: Final = (0, 3, 5)
+"""Places of the zeros and of the diagonal of K among the nine coefficients."""
+
+
+@dataclass(frozen=True)
+class FreeRows:
+    """All positions of all sensors. `tables` (sensors) hold the rows of each, `sensor`, `record` number them (N,).
+
+    `block` (sensors) are the coefficients that fit each sensor's positions best, all records taken together.
+    `origin` (N, 2) says of which table each is that was given, and its row there. `effects` are those of the model
+    given: taken off at their values, and estimated anew with the coefficients.
+    """
+
+    tables: tuple[Readings, ...]
+    sensor: Ints
+    record: Ints
+    block: tuple[Block, ...]
+    origin: Ints
+    effects: tuple[AppliedEffect, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.sensor)
+
+    @property
+    def sensors(self) -> int:
+        """How many sensors there are."""
+        return len(self.tables)
+
+    @cached_property
+    def direction(self) -> Floats:
+        """The specific force of each position over its modulus, (N, 3)."""
+        return np.asarray(self._force / np.linalg.norm(self._force, axis=1)[:, None])
+
+    @cached_property
+    def _force(self) -> Floats:
+        force = [b.specific_force(t.signal) for b, t in zip(self.block, self.tables, strict=True)]
+        return np.concatenate(force)
+
+    @cached_property
+    def response(self) -> Floats:
+        """|a| - 1 (N,), g, by the model given."""
+        by_model = [self.effect(s, one).sum(axis=1) for s in range(self.sensors) for one in self.effects]
+        return np.asarray(np.linalg.norm(self._force, axis=1) - 1.0 - sum(by_model, np.zeros(len(self))))
+
+    @cached_property
+    def unknowns(self) -> tuple[EffectUnknown, ...]:
+        """The parameters of the effects of the model given."""
+        model = ForwardModel({}, self.effects)
+        return make_problem(model, self.tables[0].conditions(), {}).effects
+
+    @cached_property
+    def of_model(self) -> Floats:
+        """What a plausible size of each of these does to it, (N, m)."""
+        columns = np.zeros((len(self), len(self.unknowns)))
+        for place, unknown in enumerate(self.unknowns):
+            applied = self.effects[unknown.effect]
+            parameter = next(p for p in applied.effect.parameters if p.name == unknown.parameter)
+            of = (unknown.channel is None) | (np.arange(3) == unknown.channel)
+            size = parameter.plausible * of if parameter.per_channel else np.asarray(parameter.plausible)
+            values = applied.complete_values()
+            shapes = {p.name: values[p.name] for p in applied.effect.parameters if p.is_shape}
+            one = replace(applied, values={**shapes, parameter.name: size}, u={})
+            columns[:, place] = sum(self.effect(s, one).sum(axis=1) for s in range(self.sensors))
+        return columns
+
+    @cached_property
+    def fixed(self) -> Floats:
+        """What is estimated in any case: coefficients (N, 9 of each sensor), effects of the model given."""
+        return np.column_stack([self.coefficients, self.of_model])
+
+    @cached_property
+    def coefficients(self) -> Floats:
+        """What the coefficients do to it, (N, 9 of each sensor)."""
+        columns = np.zeros((len(self), OWN * self.sensors))
+        for number, (block, table) in enumerate(zip(self.block, self.tables, strict=True)):
+            slopes, _ = modulus_slopes(block.specific_force(table.signal), block)
+            columns[self.sensor == number, OWN * number : OWN * (number + 1)] = -slopes[:, UPPER]
+        return columns
+
+    def zero(self, sensor: int, channel: int) -> Floats:
+        """Return what 1 g of another zero of a sensor does to its rows, (N,)."""
+        scale = abs(float(self.block[sensor].K[channel, channel]))
+        return -scale * self.coefficients[:, OWN * sensor + ZEROS[channel]]
+
+    def scale(self, sensor: int, channel: int) -> Floats:
+        """Return what a scale factor larger by 1 does to a sensor's rows, (N,)."""
+        size = abs(float(self.block[sensor].K[channel, channel]))
+        return -size * self.coefficients[:, OWN * sensor + SCALES[channel]]
+
+    def effect(self, sensor: int, applied: AppliedEffect) -> Floats:
+        """Return what an effect of a sensor does to its rows for each channel, (N, 3)."""
+        table, block = self.tables[sensor], self.block[sensor]
+        force = block.specific_force(table.signal)
+        unit = force / np.linalg.norm(force, axis=1, keepdims=True)
+        change = ForwardModel({}, (applied,)).readings_at(unit, table.conditions(), block) - block.output(
+            unit
+        )
+        _, by_signal = modulus_slopes(force, block)
+        columns = np.zeros((len(self), 3))
+        columns[self.sensor == sensor] = by_signal * change
+        return columns
+
+    def without(self, rows: Mask) -> FreeRows:
+        """Return the positions but for some (N,), with the coefficients fitted anew."""
+        tables = [t.select(~rows[self.sensor == i]) for i, t in enumerate(self.tables)]
+        blocks = tuple(fit_sensor(t.signal) for t in tables)
+        kept = (self.sensor[~rows], self.record[~rows])
+        return FreeRows(tuple(tables), *kept, blocks, self.origin[~rows], self.effects)
+
+
+def fit_sensor(signal: Floats) -> Block:
+    """Return the block that fits free positions (m, 3) best.
+
+    Raises `CalibrationError` where they are too few, or are no readings at rest: whatever explains those, it is not
+    what a sensor does.
+    """
+    block = first_guess_free(signal)
+    for _ in range(ROUNDS):
+        force = block.specific_force(signal)
+        slopes, _ = modulus_slopes(force, block)
+        step = np.linalg.lstsq(slopes[:, UPPER], 1.0 - np.linalg.norm(force, axis=1), rcond=None)[0]
+        vector = block.vector.copy()
+        vector[UPPER] += step
+        block = Block.from_vector(vector)
+    off = float(np.sqrt(np.mean((np.linalg.norm(block.specific_force(signal), axis=1) - 1.0) ** 2)))
+    if not off < AT_REST_G:
+        raise CalibrationError(
+            f"{len(signal)} free positions are {off:.2g} g off |a| = 1 g even with the coefficients that fit them "
+            "best (root mean square), as no readings at rest are; leave out those in motion, or of another sensor"
+        )
+    return block
+
+
+def make_rows(
+    tables: Sequence[Readings], one_sensor: bool | None = None, model: ForwardModel | None = None
+) -> FreeRows:
+    """Return the positions of tables of free positions, each of one sensor in one record.
+
+    Tables with the same times are sensors side by side in one record. Which sensor it is, its coefficients tell,
+    where nobody says (`one_sensor`: of all, or of each its own). Raises `CalibrationError` where a sensor's
+    positions do not determine its coefficients, the units differ, or an effect of the model given needs what free
+    positions lack.
+    """
+    if len({table.unit for table in tables}) > 1:
+        raise CalibrationError("signals in different units cannot be taken together")
+    # of one sensor no two are side by side, whatever their times
+    records = list(range(len(tables))) if one_sensor else _records(tables)
+    sensors = _sensors(tables, records, one_sensor)
+    names = list(dict.fromkeys(sensors))
+    order = [i for name in names for i in range(len(tables)) if sensors[i] == name]
+    whole, record, sensor, origin = [], [], [], []
+    for number, name in enumerate(names):
+        mine = [i for i in order if sensors[i] == name]
+        whole.append(_one(tables, mine))
+        record += [np.full(len(tables[i]), records[i]) for i in mine]
+        origin += [np.column_stack([np.full(len(tables[i]), i), np.arange(len(tables[i]))]) for i in mine]
+        sensor.append(np.full(len(whole[-1]), number))
+    blocks = tuple(fit_sensor(table.signal) for table in whole)
+    effects = () if model is None else model.effects
+    numbers = (np.concatenate(sensor), np.concatenate(record))
+    rows = FreeRows(tuple(whole), *numbers, blocks, np.concatenate(origin), effects)
+    if model is not None and not np.all(np.isfinite(rows.response)):
+        raise CalibrationError(
+            f"model {model.name}: an effect in it needs what free positions lack (a head angle, a time or a "
+            "temperature); leave --model out"
+        )
+    return rows
+
+
+def _one(tables: Sequence[Readings], mine: Sequence[int]) -> Readings:
+    """Return the records of a sensor as one table, each with a clock of its own."""
+    if len(mine) == 1:
+        return tables[mine[0]]
+    return together([JoinedPart(tables[i]) for i in mine])
+
+
+def _records(tables: Sequence[Readings]) -> list[int]:
+    """Return the number of the record of each table."""
+    kinds: list[Floats] = []
+    numbers = []
+    for table in tables:
+        time_s = table.time_s
+        same = [
+            i
+            for i, other in enumerate(kinds)
+            if len(other) == len(time_s)
+            and np.all(np.isfinite(time_s))
+            and np.all(np.abs(other - time_s) < SAME_TIME_S)
+        ]
+        if not same:
+            kinds.append(time_s)
+        numbers.append(same[0] if same else len(kinds) - 1)
+    return numbers
+
+
+def _sensors(tables: Sequence[Readings], records: Sequence[int], one_sensor: bool | None) -> list[int]:
+    """Return the number of the sensor of each table: by the coefficients, two of a record never the same."""
+    if len(tables) == 1 or one_sensor is not None:
+        return [0 if one_sensor or len(tables) == 1 else i for i in range(len(tables))]
+    features = np.stack([_feature(table) for table in tables])
+    groups = [[i for i, r in enumerate(records) if r == number] for number in dict.fromkeys(records)]
+    groups.sort(key=len, reverse=True)
+    known = [[i] for i in groups[0]]
+    sensors = {i: n for n, i in enumerate(groups[0])}
+    for group in groups[1:]:
+        means = np.stack([features[members].mean(axis=0) for members in known])
+        far = np.sqrt(np.mean((features[group][:, None] - means) ** 2, axis=2))
+        # side by side: who is who is settled by all of them at once
+        for row, column in zip(*linear_sum_assignment(far), strict=True):
+            number = int(column)
+            if far[row, column] > ANOTHER and len(groups[0]) == 1:
+                known.append([])
+                number = len(known) - 1
+            known[number].append(group[row])
+            sensors[group[row]] = number
+        for i in (i for i in group if i not in sensors):
+            known.append([i])
+            sensors[i] = len(known) - 1
+    return [sensors[i] for i in range(len(tables))]
+
+
+def _feature(table: Readings) -> Floats:
+    block = fit_sensor(table.signal)
+    scale = np.diag(block.K)
+    return np.concatenate([np.log(np.abs(scale)) / SCALE_BETWEEN, block.U0 / scale / ZERO_BETWEEN_G])
+
+
+MUCH: Final = 0.8
+SOME: Final = 0.5
+"""Parts of the variance of the changes that make them common to the sensors, or in part."""
+
+
+@dataclass(frozen=True)
+class BetweenRecords:
+    """Zeros (sensors, records, 3) in g with their u, each record fitted by itself; NaN where it cannot be.
+
+    `ratio` is the scatter of the zeros about their mean over the stated u; `scatter` (3,) in g; `common` (3,) is
+    what part of the variance the sensors share, NaN for one sensor. `held_before`, `held_after` are that ratio for
+    each record held out, by what the other records say: without, and with their scatter and what the other sensors
+    show in the same record.
+    """
+
+    zero: Floats
+    u: Floats
+    ratio: float
+    scatter: Floats
+    common: Floats
+    held_before: float
+    held_after: float
+
+    def in_words(self) -> str:
+        """Return how far they go, what is common, what is held out."""
+        sizes = ", ".join(f"{c} {size * 1e3:.2g} mg" for c, size in zip(CHANNELS, self.scatter, strict=True))
+        text = f"scatter {sizes}, {self.ratio:.3g} times the stated u"
+        shares = [c for c, part in zip(CHANNELS, self.common, strict=True) if part >= MUCH]
+        partly = [c for c, part in zip(CHANNELS, self.common, strict=True) if SOME <= part < MUCH]
+        if np.all(np.isnan(self.common)):
+            text += "; of one sensor nothing says whether others would change alike"
+        elif shares or partly:
+            parts = [f"{c} {100 * self.common[CHANNELS.index(c)]:.0f} %" for c in (*shares, *partly)]
+            text += f"; the change is common to the sensors ({', '.join(parts)} of its variance)"
+        else:
+            text += "; each sensor changes by itself"
+        return (
+            f"{text}; the cause is not determined; held out by record the ratio is {self.held_before:.3g} with "
+            f"zeros that stay and {self.held_after:.2g} with zeros of each record"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers; NaN is null."""
+
+        def plain(values: Floats) -> Any:
+            return np.where(np.isfinite(values), values, None).tolist()  # type: ignore[call-overload]
+
+        return {
+            "ratio": self.ratio,
+            "scatter_g": plain(self.scatter),
+            "common_part": plain(self.common),
+            "held_out": {"by": "record", "before": self.held_before, "after": self.held_after},
+            "zeros_g": plain(self.zero),
+            "u_g": plain(self.u),
+        }
+
+
+def between_records(rows: FreeRows, tables: Sequence[Readings]) -> BetweenRecords | None:
+    """Return how zeros go between records; None where fewer than two records of any sensor determine them."""
+    records = np.unique(rows.record)
+    zero = np.full((rows.sensors, len(records), 3), np.nan)
+    u = np.full_like(zero, np.nan)
+    for sensor, table in enumerate(rows.tables):
+        record = rows.record[rows.sensor == sensor]
+        for number, one in enumerate(records):
+            estimate = _zeros(table.signal[record == one])
+            if estimate is not None:
+                zero[sensor, number], u[sensor, number] = estimate
+    full = np.isfinite(zero).all(axis=2)
+    usable = full.sum(axis=1) > 1
+    if not usable.any():
+        return None
+    change = zero - np.nanmean(zero, axis=1, keepdims=True)
+    degrees = (full.sum(axis=1, keepdims=True) - 1)[:, :, None] / np.maximum(full.sum(axis=1), 1)[
+        :, None, None
+    ]
+    ratio = float(np.sqrt(np.nanmean(change[usable] ** 2 / u[usable] ** 2 / degrees[usable])))
+    scatter = np.sqrt(np.nanmean(change[usable] ** 2 / degrees[usable], axis=(0, 1)))
+    common = _common(change, full)
+    before, after = _held_out(zero, u, full)
+    return BetweenRecords(zero, u, ratio, scatter, common, before, after)
+
+
+def _zeros(signal: Floats) -> tuple[Floats, Floats] | None:
+    """Return the zeros (3,) of a sensor in one record, g, with u; None where its positions do not tell them."""
+    try:
+        block = fit_sensor(signal)
+    except CalibrationError:
+        return None
+    force = block.specific_force(signal)
+    slopes, _ = modulus_slopes(force, block)
+    freedom = len(signal) - OWN
+    if freedom < 1:
+        return None
+    left = 1.0 - np.linalg.norm(force, axis=1)
+    covariance = np.linalg.inv(slopes[:, UPPER].T @ slopes[:, UPPER]) * float(left @ left) / freedom
+    scale = np.abs(np.diag(block.K))
+    return block.U0 / scale, np.sqrt(np.diag(covariance)[list(ZEROS)]) / scale
+
+
+def _common(change: Floats, full: Floats) -> Floats:
+    """Return what part of the variance of the changes (sensors, records, 3) all sensors have in common, (3,)."""
+    whole = full.all(axis=0)
+    sensors = len(change)
+    if sensors < 2 or whole.sum() < 2:
+        return np.full(3, np.nan)
+    own = change[:, whole]
+    total = np.mean(own**2, axis=(0, 1))
+    # the mean of independent changes would have 1/sensors of the variance
+    mean = np.mean(np.mean(own, axis=0) ** 2, axis=0)
+    part = (mean - total / sensors) / (total * (1.0 - 1.0 / sensors))
+    return np.asarray(np.clip(part, 0.0, 1.0))
+
+
+def _held_out(zero: Floats, u: Floats, full: Floats) -> tuple[float, float]:
+    """Return how far a record's zeros lie off what the others say, over the u of that, before and after.
+
+    Before, the zeros of a sensor stay, and the others' mean is known to its u. After, they scatter as they do in
+    the other records, and where other sensors were measured in the same record, by what those have in common.
+    """
+    before, after = [], []
+    for record in range(zero.shape[1]):
+        others = np.arange(zero.shape[1]) != record
+        for sensor in np.flatnonzero(full[:, record]).tolist():
+            known = others & full[sensor]
+            if known.sum() < 2:
+                continue
+            past = zero[sensor, known]
+            mean, count = past.mean(axis=0), len(past)
+            off = zero[sensor, record] - mean
+            stated = u[sensor, record] ** 2 + np.sum(u[sensor, known] ** 2, axis=0) / count**2
+            before.append(off**2 / stated)
+            off, spread = _with_scatter(zero, full, sensor, record, known, off)
+            after.append(off**2 / (stated + spread))
+    if not before:
+        return float("nan"), float("nan")
+    return float(np.sqrt(np.mean(before))), float(np.sqrt(np.mean(after)))
+
+
+def _with_scatter(
+    zero: Floats, full: Floats, sensor: int, record: int, known: Floats, off: Floats
+) -> tuple[Floats, Floats]:
+    """Return what is left of `off` beside the other sensors' change in this record, and the variance of it."""
+    past = zero[sensor, known]
+    own = past - past.mean(axis=0)
+    fellows = [s for s in range(len(zero)) if s != sensor and full[s, record] and np.all(full[s, known])]
+    fellows = fellows if len(past) > 2 else []
+    if not fellows:
+        return off, own.var(axis=0, ddof=1) * (1.0 + 1.0 / len(past))
+    means = zero[fellows][:, known].mean(axis=1, keepdims=True)
+    theirs = (zero[fellows][:, known] - means).mean(axis=0)
+    now = (zero[fellows, record] - means[:, 0]).mean(axis=0)
+    slope = np.sum(own * theirs, axis=0) / np.maximum(np.sum(theirs**2, axis=0), 1e-300)
+    left = own - slope * theirs
+    variance = np.sum(left**2, axis=0) / (len(past) - 2)
+    leverage = 1.0 + 1.0 / len(past) + now**2 / np.maximum(np.sum(theirs**2, axis=0), 1e-300)
+    return off - slope * now, variance * leverage

@@ -1,0 +1,481 @@
+"""Readings and prediction, made linear: what the naming of a missing effect works on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.base.arrays import Floats, Ints
+from bench.calibration.calibrate import first_guess
+from bench.calibration.design import FIXED, STEP_RAD, Problem, coefficient_columns, make_problem
+from bench.model.block import Block
+from bench.model.conditions import Conditions
+from bench.model.effects import AppliedEffect, Stage
+from bench.model.effects.base import Seen
+from bench.model.forward import ForwardModel
+from bench.model.geometry import STAND_ANGLES, Installation, specific_force_on_platform
+from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
+
+CONTRADICTS_RAD: Final = float(np.radians(0.5))
+"""A turn from what the bench file states that no signature notices; a larger one is told and taken up."""
+OF_LIMITS: Final = 5.0
+"""So many standard uncertainties of the stand's angles are no contradiction either."""
+ONE_MOUNTING: Final = 0.01
+"""Root mean square by which directions may miss those of one mounting, rad."""
+LEAST_APART: Final = 0.05
+"""Second singular value of the directions, per point, from which they tell an orientation."""
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """The verification points' `block_from_platform` (3, 3) as the signals give it, and how it differs.
+
+    `off_rad` is the turn from what the bench file states, about `axis` of the block (3,); `missed_rad` the root
+    mean square of what is left of the directions.
+    """
+
+    block_from_platform: Floats
+    off_rad: float
+    axis: Floats
+    missed_rad: float
+    contradicts: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a result says of it."""
+        return {
+            "off_deg": float(np.degrees(self.off_rad)),
+            "axis": self.axis.tolist(),
+            "contradicts_bench_file": self.contradicts,
+        }
+
+    def in_words(self) -> str:
+        """Say what contradicts the bench file, and what to do."""
+        axis = ", ".join(f"{part:+.2f}" for part in self.axis)
+        return (
+            f"the verification points contradict the bench file: by their signals the block is turned by "
+            f"{np.degrees(self.off_rad):.2g}° about ({axis}) of its axes from the orientation that installation V "
+            "states; the signals are believed here; correct 'installations: V' in the bench file, or name the "
+            "right one with --bench"
+        )
+
+
+def orientation_of(
+    model: ForwardModel, readings: Readings, force: Floats, stand_u: Mapping[str, float]
+) -> Orientation | None:
+    """Return how the block stood at the verification points of a table; None where they do not tell it.
+
+    `force` (n, 3) is the specific force that the signals of the table give. Source of the fit: Wahba's problem,
+    solved by singular values (Markley, 1988).
+    """
+    rows = np.flatnonzero((readings.installation == VERIFICATION) & np.isfinite(readings.angle_rad))
+    if VERIFICATION not in model.installations or len(rows) < 2:
+        return None
+    platform = specific_force_on_platform(readings.angle_rad[rows], np.zeros((len(rows), len(STAND_ANGLES))))
+    seen = force[rows] / np.linalg.norm(force[rows], axis=1, keepdims=True)
+    left, sizes, right = np.linalg.svd(seen.T @ platform)
+    if sizes[1] < LEAST_APART * len(rows):
+        return None
+    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    missed = float(np.sqrt(np.mean(np.sum((seen - platform @ turn.T) ** 2, axis=1))))
+    if missed > ONE_MOUNTING:
+        return None
+    stated = model.installations[VERIFICATION].block_from_platform
+    off, axis = _turn(turn @ stated.T)
+    limits = np.linalg.norm([stand_u.get(name, 0.0) for name in STAND_ANGLES])
+    contradicts = off > max(CONTRADICTS_RAD, OF_LIMITS * float(limits))
+    return Orientation(turn, off, axis, missed, contradicts)
+
+
+def as_measured(model: ForwardModel, orientation: Orientation | None) -> ForwardModel:
+    """Return the model with the verification points where their signals have them, if the bench file is wrong."""
+    if orientation is None or not orientation.contradicts:
+        return model
+    measured = Installation(VERIFICATION, orientation.block_from_platform)
+    return replace(model, installations={**model.installations, VERIFICATION: measured})
+
+
+def _turn(matrix: Floats) -> tuple[float, Floats]:
+    """Return angle (rad) and unit axis (3,) of a rotation."""
+    twice_sine = np.array(
+        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
+    )
+    angle = float(np.arctan2(np.linalg.norm(twice_sine), np.trace(matrix) - 1.0))
+    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
+    axis = vectors[:, int(np.argmax(values))]
+    return angle, np.asarray(axis * (1.0 if axis @ twice_sine >= 0 else -1.0))
+
+
+MODULUS: Final = 3
+"""Channel number of a row that holds a modulus and no single channel."""
+
+REFERENCE_U: Final = 1e-4
+"""Relative standard uncertainty of a reference voltage's value: its drift matters, its value little."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Which reading (of the table) and which channel (0, 1, 2 or `MODULUS`) a row of the system holds."""
+
+    reading: Ints
+    channel: Ints
+
+    def __len__(self) -> int:
+        return len(self.reading)
+
+
+@dataclass(frozen=True)
+class RunSizes:
+    """How large the noise of each run is beside the others' (runs,), and the degrees of freedom (runs,) of each.
+
+    The mean of the squares over the rows is 1.
+    """
+
+    sizes: Floats
+    freedom: Floats
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """y = X c + Z b + noise about a first guess of the block.
+
+    `response` (N,) measured less predicted; `fixed` (N, 12) by the coefficients; `random` (N, q) by stand
+    angles and the model's own effects, each times its prior standard deviation; `slope` (N,) holds du/dphi
+    in the rows of a setting and zero elsewhere; `setting` (N,) numbers the settings, -1 elsewhere.
+    `problem` has the unknowns of the settings: stand angles and the model's own effects. `orientation` is how
+    the block stood at the verification points, None where they do not tell it; where it contradicts the bench file
+    the installation V of `model` is as measured. `by_channel` (3,) is how large the noise of a channel is beside
+    the others', 1 on the average of squares; `by_run` the same of each of several runs, None where they are alike.
+    The last `of_noise` columns of `random` are noise that readings share.
+    """
+
+    readings: Readings
+    model: ForwardModel
+    block: Block
+    rows: Rows
+    response: Floats
+    fixed: Floats
+    random: Floats
+    slope: Floats
+    setting: Ints
+    moved: Conditions
+    view: _View
+    problem: Problem
+    orientation: Orientation | None
+    by_channel: Floats = field(default_factory=lambda: np.ones(3), kw_only=True)
+    by_run: RunSizes | None = field(default=None, kw_only=True)
+    of_noise: int = field(default=0, kw_only=True)
+
+    def __len__(self) -> int:
+        return len(self.response)
+
+    def with_noise(self, *columns: Floats) -> LinearSystem:
+        """Return the system with noise that readings share, columns (N, …) of unit variance, as random."""
+        random = np.column_stack([self.random, *columns])
+        added = random.shape[1] - self.random.shape[1]
+        return replace(self, random=random, of_noise=self.of_noise + added)
+
+    @property
+    def own(self) -> slice:
+        """Places in `random` of the model's own effects, which are `problem.effects`."""
+        return slice(len(self.problem.stand), len(self.problem.stand) + len(self.problem.effects))
+
+    @property
+    def settings(self) -> int:
+        """How many settings there are."""
+        return int(self.setting.max()) + 1
+
+    @property
+    def typical_slope(self) -> float:
+        """Root mean square over the settings of the length of du/dphi, each channel in units of its noise."""
+        return float(np.sqrt(np.sum((self.slope / self.relative) ** 2) / max(self.settings, 1)))
+
+    @cached_property
+    def relative(self) -> Floats:
+        """How large the noise of a row is, 1 for a channel and a run of average noise, shape (N,)."""
+        return self.relative_of_channel * self.relative_of_run
+
+    @cached_property
+    def relative_of_run(self) -> Floats:
+        """The same for the run alone, 1 where runs are alike, shape (N,)."""
+        if self.by_run is None:
+            return np.ones(len(self))
+        return np.asarray(self.by_run.sizes[self.readings.run[self.rows.reading]])
+
+    @property
+    def relative_of_channel(self) -> Floats:
+        """The same for the channel alone, shape (N,)."""
+        if np.all(self.by_channel == 1.0):
+            return np.ones(len(self))
+        size = self.by_channel[np.minimum(self.rows.channel, 2)].copy()
+        modulus = self.rows.channel == MODULUS
+        if modulus.any():
+            by_signal = _modulus(self.block, self.readings.signal[self.rows.reading[modulus]])[1]
+            size[modulus] = np.linalg.norm(by_signal * self.by_channel, axis=1)
+        return size
+
+    @property
+    def g_per_signal(self) -> Floats:
+        """What turns a row into g (N,): by the scale factor of its channel, of a modulus by its derivative."""
+        of_channel = 1.0 / np.abs(np.diag(self.block.K))[np.minimum(self.rows.channel, 2)]
+        modulus = self.rows.channel == MODULUS
+        of_channel[modulus] = 1.0 / _modulus(self.block, self.readings.signal[self.rows.reading[modulus]])[2]
+        return of_channel
+
+    @property
+    def conditions(self) -> Conditions:
+        """The conditions of all readings, in the order of measurement."""
+        return self.view.conditions
+
+    def rows_of(self, change: Floats) -> Floats:
+        """Contract changes (n, 3) of the signals to the rows, shape (N,)."""
+        return self.view.rows_of(change)
+
+    @cached_property
+    def _still(self) -> Floats:
+        """The readings without any effect, shape (n, 3)."""
+        return self.view.read(replace(self.model, effects=()), self.block)
+
+    def _change(self, applied: AppliedEffect) -> Floats:
+        return self.view.read(replace(self.model, effects=(applied,)), self.block) - self._still
+
+    def formula_columns(self, applied: AppliedEffect) -> Floats:
+        """Return what an effect that needs no path adds to the rows, one stage of the model made linear.
+
+        Of an effect of the stand or the head shape (N, 1), else (N, 3), of each channel apart.
+        """
+        effect = applied.effect
+        match effect.stage:
+            case Stage.STAND | Stage.HEAD_ANGLE:
+                force, by_angle = self._stand
+                many = (len(force), len(STAND_ANGLES))
+                signal = np.zeros(many) if effect.stage is Stage.STAND else self.conditions.angle_rad
+                added = applied.addition(Seen(signal, self.conditions, self.block))
+                by = by_angle[:, :, :-1] if effect.stage is Stage.STAND else by_angle[:, :, -1:]
+                change = np.einsum("nij,nj->ni", by, added.reshape(len(force), -1))
+                return self.view.rows_of(change)[:, None]
+            case _:
+                force, at_inputs = self._stand[0], self._still
+                of_block = effect.stage is Stage.BLOCK_OUTPUT
+                change = applied.addition(Seen(force if of_block else at_inputs, self.conditions, self.block))
+                return self._of_channels(change, of_block=of_block)
+
+    def course_columns(self, course: Floats, stage: Stage, adds_to: str = "", *, of_force: bool) -> Floats:
+        """Return what a course over the readings (n,) adds at a stage, as `formula_columns` does.
+
+        At the stand it is of the angle `adds_to`, at the block's output in g, or with `of_force` a part of the
+        specific force.
+        """
+        force, by_angle = self._stand
+        match stage:
+            case Stage.STAND | Stage.HEAD_ANGLE:
+                number = STAND_ANGLES.index(adds_to) if stage is Stage.STAND else -1
+                return self.view.rows_of(by_angle[:, :, number] * course[:, None])[:, None]
+            case _:
+                of_block = stage is Stage.BLOCK_OUTPUT
+                change = np.repeat(course[:, None], 3, axis=1)
+                if of_block:
+                    change = change * np.diag(self.block.K) * (force if of_force else 1.0)
+                return self._of_channels(change, of_block=of_block)
+
+    def _of_channels(self, change: Floats, *, of_block: bool) -> Floats:
+        """Contract changes (n, 3) to the rows, each channel apart, (N, 3); the block's not at other inputs."""
+        if of_block:
+            change = np.where(np.isnan(self.view.voltage_v), change, 0.0)
+        return self.view.rows_of(change[:, :, None] * np.eye(3))
+
+    @cached_property
+    def _stand(self) -> tuple[Floats, Floats]:
+        """Specific force (n, 3) without any effect; derivatives (n, 3, 6) of the readings, stand angles, head."""
+        model, conditions = replace(self.model, effects=()), self.conditions
+        still = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
+        known = [mount.installation in model.installations for mount in conditions.mounts]
+        turned = np.array(known, dtype=bool)[conditions.mount] & np.isnan(self.view.force[:, 0])
+
+        def acting(stand: Floats, setting_rad: float = 0.0) -> Floats:
+            own = model.readings_in_order(self.block, conditions, stand, setting_rad, force=self.view.force)
+            return np.where(turned[:, None] & np.isnan(self.view.voltage_v), own, 0.0)
+
+        steps = [STEP_RAD * (np.arange(len(STAND_ANGLES)) == i) for i in range(len(STAND_ANGLES))]
+        differences = [acting(still + step) - acting(still - step) for step in steps]
+        differences.append(acting(still, STEP_RAD) - acting(still, -STEP_RAD))
+        force = np.asarray(self.block.specific_force(self.view.read(model, self.block)))
+        return force, np.stack(differences, axis=2) / (2 * STEP_RAD)
+
+    def effect_column(self, applied: AppliedEffect) -> Floats:
+        """Return what an effect with these values adds to the rows, shape (N,): its difference from none."""
+        return self.view.rows_of(self._change(applied))
+
+    def effect_columns(self, applied: AppliedEffect) -> Floats:
+        """Return the same for each channel of an effect of the block apart, shape (N, 3)."""
+        change = self._change(applied)
+        return np.stack([self.view.rows_of(change * (np.arange(3) == i)) for i in range(3)], axis=1)
+
+
+@dataclass(frozen=True)
+class _View:
+    """How changes of the three signals of a reading show in the rows of the system.
+
+    `conditions` are those of all readings in the order of measurement, since effects look back. Where `force`
+    or `voltage_v` (n, 3) is not NaN it stands in place of what the installation gives. `settings`, `moduli`
+    and `inputs` number the readings of each kind; `by_signal` (m, 3) is d|a|/du over its norm.
+    """
+
+    conditions: Conditions
+    force: Floats
+    voltage_v: Floats
+    settings: Ints
+    moduli: Ints
+    inputs: Ints
+    by_signal: Floats
+
+    def own(self, model: ForwardModel, effects: tuple[AppliedEffect, ...], block: Block) -> Floats:
+        """Return by how much effects together change the signals of each reading, shape (n, 3)."""
+        if not effects:
+            return np.zeros(self.force.shape)
+        return self.read(replace(model, effects=effects), block) - self.read(
+            replace(model, effects=()), block
+        )
+
+    def read(self, model: ForwardModel, block: Block) -> Floats:
+        """Return what a model reads in all rows on a stand without errors, shape (n, 3)."""
+        still = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
+        return model.readings_in_order(
+            block, self.conditions, still, force=self.force, voltage_v=self.voltage_v
+        )
+
+    def rows_of(self, change: Floats) -> Floats:
+        """Contract changes (n, 3, …) of the signals to rows of the system, shape (N, …)."""
+        modulus = np.einsum("mi,mi...->m...", self.by_signal, change[self.moduli])
+        each = change.shape[2:]
+        settings, inputs = (change[own].reshape(-1, *each) for own in (self.settings, self.inputs))
+        return np.concatenate([settings, modulus, inputs])
+
+
+def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:
+    """Make the readings' difference from the model linear in everything that is not known.
+
+    Rows are taken in the order: settings in installations, moduli (verification and free positions), inputs.
+    Raises `CalibrationError` where the settings do not determine the coefficients.
+    """
+    label = readings.installation
+    kind_of = np.where(label == VERIFICATION, 1, np.where(label == FREE, 1, 0))
+    kind_of = np.where(np.isin(label, [SHORTED, REFERENCE]), 2, kind_of)
+    settings, moduli, inputs = (np.flatnonzero(kind_of == kind) for kind in range(3))
+    table = readings.select(kind_of == 0)
+    problem = make_problem(model, table.conditions(), stand_u)
+    block = first_guess(problem, table.signal)
+    orientation = orientation_of(model, readings, block.specific_force(readings.signal), stand_u)
+    model = as_measured(model, orientation)
+    problem = replace(problem, model=model)
+
+    force, by_signal, weight = _modulus(block, readings.signal[moduli])
+    others = problem.prior_mean
+    given = np.full((len(readings), 3), np.nan)
+    given[moduli] = _unit(force)  # how the block stood there its signals say better than any bench file
+    voltage_v = np.full((len(readings), 3), np.nan)
+    voltage_v[inputs] = _input_v(readings.select(kind_of == 2))
+    view = _View(readings.conditions(), given, voltage_v, settings, moduli, inputs, by_signal)
+
+    own = view.own(model, problem.effects_at(others), block)
+    residual = table.signal - problem.predict(block, others)
+    modulus_error = (np.linalg.norm(force, axis=1) - 1.0) * weight
+    modulus_error -= np.einsum("mi,mi->m", by_signal, own[moduli])
+    input_error = readings.signal[inputs] - voltage_v[inputs] - own[inputs]
+    count = len(settings)
+    slope = np.zeros(3 * count + len(moduli) + 3 * len(inputs))
+    slope[: 3 * count] = problem.slope(block, others).ravel()
+    setting = np.full(len(slope), -1)
+    setting[: 3 * count] = np.repeat(np.arange(count), 3)
+    fixed, random = _columns(problem, block, _unit(force), view, label, _unstated(readings))
+    rows = Rows(
+        np.concatenate([np.repeat(settings, 3), moduli, np.repeat(inputs, 3)]),
+        np.concatenate(
+            [np.tile([0, 1, 2], count), np.full(len(moduli), MODULUS), np.tile([0, 1, 2], len(inputs))]
+        ).astype(np.int64),
+    )
+    response = np.concatenate([residual.ravel(), modulus_error, input_error.ravel()])
+    return LinearSystem(
+        readings,
+        model,
+        block,
+        rows,
+        response,
+        fixed,
+        random,
+        slope,
+        setting,
+        problem.conditions,
+        view,
+        problem,
+        orientation,
+    )
+
+
+def _modulus(block: Block, signal: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return a (m, 3), the unit vector along d|a|/du (m, 3), and what turns |a| into a signal's unit (m,)."""
+    if not len(signal):
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+    force = block.specific_force(signal)
+    by_signal = _unit(force) @ np.linalg.inv(block.K)
+    size = np.linalg.norm(by_signal, axis=1)
+    return force, by_signal / size[:, None], 1.0 / size
+
+
+def _unit(vectors: Floats) -> Floats:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True) if len(vectors) else vectors
+
+
+def _unstated(readings: Readings) -> Ints:
+    """Return which readings are of a reference whose value nobody stated: it is as free as it is large."""
+    stated = readings.extra.get("reference_v", np.full(len(readings), ""))
+    blank = np.array([not str(text).strip() for text in stated], dtype=bool)
+    return np.flatnonzero((readings.installation == REFERENCE) & blank)
+
+
+def _input_v(inputs: Readings) -> Floats:
+    stated = inputs.extra.get("reference_v")
+    volts = np.zeros(len(inputs))
+    for i in range(len(inputs)):
+        text = "" if stated is None else str(stated[i]).strip()
+        if inputs.installation[i] == REFERENCE:
+            volts[i] = float(text) if text else float(np.mean(inputs.signal[i]))
+    return np.repeat(volts[:, None], 3, axis=1)
+
+
+def _own_column(problem: Problem, block: Block, view: _View, number: int) -> Floats:
+    """Return what one prior standard deviation of an effect's parameter in the model adds, shape (n, 3)."""
+    step = np.zeros_like(problem.prior_u)
+    step[number] = 1e-3 * problem.prior_u[number]
+    up, down = (problem.effects_at(problem.prior_mean + sign * step) for sign in (1, -1))
+    return (view.own(problem.model, up, block) - view.own(problem.model, down, block)) / 2e-3
+
+
+def _columns(
+    problem: Problem, block: Block, unit: Floats, view: _View, label: NDArray[np.str_], unstated: Ints
+) -> tuple[Floats, Floats]:
+    """Return the columns of the coefficients and, times their priors, of stand angles and own effects.
+
+    A modulus does not depend on angles of the stand. Readings `unstated` are of references of unknown value.
+    """
+    jacobian = problem.jacobian(block, problem.prior_mean)
+    jacobian[:, :, FIXED:] *= problem.prior_u
+    whole = np.zeros((len(label), 3, jacobian.shape[2]))
+    whole[view.settings] = jacobian
+    whole[view.moduli, :, :FIXED] = coefficient_columns(unit) if len(unit) else 0.0
+    beyond = np.concatenate([view.moduli, view.inputs])
+    for j in range(len(problem.stand), len(problem.prior_u)):
+        whole[beyond, :, FIXED + j] = _own_column(problem, block, view, j)[beyond]
+    columns = np.stack([view.rows_of(whole[:, :, j]) for j in range(whole.shape[2])], axis=1)
+    random = columns[:, FIXED:]
+    reference = label == REFERENCE
+    if np.any(reference):
+        wrong = np.where(reference[:, None], REFERENCE_U * np.nan_to_num(view.voltage_v), 0.0)
+        unknown = [np.where(np.arange(len(label))[:, None] == i, 1.0, 0.0) for i in unstated]
+        columns_of = [wrong, *(one * np.nan_to_num(view.voltage_v) for one in unknown)]
+        random = np.column_stack([random, *(view.rows_of(one) for one in columns_of)])
+    return columns[:, :FIXED], random

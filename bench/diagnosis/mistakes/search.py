@@ -1,0 +1,276 @@
+"""Mistakes of procedure and wiring, looked for before any effect: large, discrete, each with a correction.
+
+First what moves readings by volts (exchanged channels, the wrong installation …), then single readings that
+contradict the repeats of their own point. What is found is put right in a copy and the search goes on there,
+until nothing more is found. The record itself is never changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import Floats
+from bench.calibration.calibrate import usable_rows
+from bench.calibration.design import Problem, make_problem
+from bench.calibration.gls import noise_floor
+from bench.calibration.signal_units import PREFIX, PREFIXES, WrongUnit, sheet_of, wrong_unit
+from bench.diagnosis.mistakes.describing import (
+    Description,
+    Situation,
+    descriptions,
+    examine,
+    situation,
+    weigh,
+)
+from bench.diagnosis.mistakes.gross import GrossMistake, GrossSearch
+from bench.diagnosis.mistakes.reinterpretation import Oriented
+from bench.diagnosis.mistakes.single_readings import SingleMistake, find_single
+from bench.model import STAND_ANGLES, Block, ForwardModel
+from bench.readings.mistaken import MistakeName
+from bench.readings.table import Readings
+
+MOST: Final = 5
+"""Mistakes of each of the two kinds that are put right one after another."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Root mean square misfit of all readings and of the data sheet, in units of the noise (1 is noise alone)."""
+
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A mistake, where it was made, and how the copy has it put right.
+
+    `name` is one of swapped_channels, reversed_polarity, reversed_rotation, swapped_installations,
+    shifted_points, wrong_setting, outlier, wrong_unit. No installation named means the whole run; they are written
+    as `str(Mount)`. `words` is a sentence; `p` counts all looks. `cannot_tell_from` are names of what looks
+    exactly alike in these readings ("other_mounting": the block sat on the platform otherwise).
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    installations: tuple[str, ...]
+    pass_number: int | None
+    point: int | None
+    words: str
+    p: float
+    cannot_tell_from: tuple[str, ...]
+    evidence: Evidence = Evidence(np.nan, np.nan)
+
+
+@dataclass(frozen=True)
+class MistakeSearch:
+    """The mistakes in the order in which they were put right, the corrected copy, and the number of looks.
+
+    In the copy a reading with an outlier is left out whole, named in `skipped`.
+    """
+
+    mistakes: tuple[Mistake, ...]
+    corrected: Readings
+    looks: int
+
+
+def find_mistakes(
+    readings: Readings,
+    model: ForwardModel,
+    stand_u: Mapping[str, float],
+    nominal_scale_factors: Floats | None,
+    significance: float = 1e-4,
+) -> MistakeSearch:
+    """Look for mistakes in a table of readings.
+
+    `stand_u` are standard uncertainties by the names in `STAND_ANGLES` and of the "setting_error", rad;
+    `nominal_scale_factors` (3,) are those of the data sheet with their signs, in the unit of the signal per
+    g, or None: then a mistake that the coefficients take up (channels exchanged in the whole run) cannot be
+    seen. `significance` is the probability, all looks counted, of finding any single reading wrong where none
+    is. Raises `CalibrationError` where no row can be used or one is not a number.
+    """
+    usable_rows(readings, model)
+    nominal = None if nominal_scale_factors is None else np.asarray(nominal_scale_factors, dtype=np.float64)
+    limits = [stand_u[name] for name in (*STAND_ANGLES, "setting_error") if name in stand_u]
+    stage = _Stage(model, stand_u, GrossSearch(model.installations, nominal, float(np.linalg.norm(limits))))
+    found: list[Mistake] = []
+    copies = [readings]
+    looks = 1
+    if (unit := wrong_unit(readings, model, _sheet(readings.unit, nominal))) is not None:
+        copies.append(unit.corrected(readings))
+        found.append(_unit_mistake(unit, _p_of_unit(stage.gross, unit, *copies)))
+    for _ in range(MOST):
+        table = Oriented.of(copies[-1])
+        gross, more = stage.gross.find(table)
+        looks += more
+        if gross is None:
+            break
+        found.append(_gross_mistake(gross))
+        copies.append(gross.supposition.correct(copies[-1], table))
+    for _ in range(MOST):
+        view = stage.view(copies[-1])
+        singles, looks = find_single(view.problem, view.block, view.situation, looks, significance)
+        if not singles:
+            break
+        found += [_single_mistake(view, single) for single in singles]
+        before = copies[-1]
+        copies += [_put_right(before, view, singles[: k + 1]) for k in range(len(singles))]
+    return MistakeSearch(_with_evidence(stage, found, copies), copies[-1], looks)
+
+
+@dataclass(frozen=True)
+class _FirstGuess:
+    """The oriented rows of a table before the fit; `block` is a first guess that wrong readings do not spoil."""
+
+    table: Oriented
+    problem: Problem
+    block: Block
+    floor: float
+    sheet: float
+    unit: str
+
+    @property
+    def situation(self) -> Situation:
+        return situation(self.problem, self.block, self.table.signal, self.floor)
+
+    @property
+    def model(self) -> Description:
+        return descriptions(self.problem, self.block).ladder[0]
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """The model, the stand and the data sheet."""
+
+    model: ForwardModel
+    stand_u: Mapping[str, float]
+    gross: GrossSearch
+
+    def view(self, readings: Readings) -> _FirstGuess:
+        """Look at a table; `sheet` is how far the coefficients lie from the data sheet, as a chi-square."""
+        table = Oriented.of(readings)
+        problem = make_problem(self.model, readings.oriented().conditions(), self.stand_u)
+        block, sheet = self.gross.first_guess(table)
+        floor = noise_floor(table.signal, readings.resolution, problem.free)
+        return _FirstGuess(table, problem, block, floor, sheet, readings.unit)
+
+
+def _sheet(unit: str, nominal: Floats | None) -> Sequence[float] | None:
+    return sheet_of(unit, ()) if nominal is None else nominal.tolist()
+
+
+def _p_of_unit(gross: GrossSearch, unit: WrongUnit, recorded: Readings, right: Readings) -> float:
+    """Return the p of signals in another unit; a look is each prefix of each channel in each part of the table."""
+    table = Oriented.of(recorded)
+    parts = 1 + len(np.unique(table.pass_number)) + len(np.unique(table.label))
+    log_scaling = -PREFIX * np.log(10.0) * float(np.sum(unit.power[table.rows]))
+    log_looks = 3 * parts * np.log(len(PREFIXES))
+    return gross.p_of_units(table, Oriented.of(right), log_scaling, log_looks)
+
+
+def _unit_mistake(unit: WrongUnit, p: float) -> Mistake:
+    return Mistake(
+        name=MistakeName.WRONG_UNIT,
+        channels=unit.channels,
+        installations=() if unit.installation is None else (unit.installation,),
+        pass_number=unit.pass_number,
+        point=None,
+        words=f"{unit.words}; the copy has them in the unit of the file",
+        p=p,
+        cannot_tell_from=(),
+    )
+
+
+def _gross_mistake(gross: GrossMistake) -> Mistake:
+    supposition = gross.supposition
+    names = dict.fromkeys(other.name for other in gross.equal if other.name != supposition.name)
+    elsewhere = [other for other in gross.equal if other.name == supposition.name]
+    also = [
+        f"{name} (the block sat otherwise)" if name == MistakeName.OTHER_MOUNTING else name for name in names
+    ]
+    also += [f"the same {other.scope}" for other in elsewhere]
+    alike = f"; these readings cannot tell it from {', '.join(dict.fromkeys(also))}" if also else ""
+    return Mistake(
+        name=supposition.name,
+        channels=supposition.wiring.channels,
+        installations=tuple(str(mount) for mount in supposition.scope.mounts),
+        pass_number=supposition.scope.pass_number,
+        point=None,
+        words=supposition.words + alike,
+        p=gross.p,
+        cannot_tell_from=tuple(names),
+    )
+
+
+def _single_mistake(view: _FirstGuess, single: SingleMistake) -> Mistake:
+    conditions = view.problem.conditions
+    mount = str(conditions.mounts[conditions.mount[single.row]])
+    number, point = int(conditions.pass_number[single.row]), int(conditions.point[single.row])
+    return Mistake(
+        name=MistakeName.OUTLIER if single.off_rad is None else MistakeName.WRONG_SETTING,
+        channels=single.channels,
+        installations=(mount,),
+        pass_number=number,
+        point=point,
+        words=f"installation {mount}, pass {number}, point {point}: {_single_words(view, single)}",
+        p=single.p,
+        cannot_tell_from=(MistakeName.OUTLIER,) if single.as_outlier and single.off_rad is not None else (),
+    )
+
+
+def _single_words(view: _FirstGuess, single: SingleMistake) -> str:
+    stated = float(np.degrees(view.table.angle_rad[single.row]))
+    if single.off_rad is not None:
+        words = (
+            f"the signals stand as if the head had been at {stated + np.degrees(single.off_rad):.7g}° and not at "
+            f"{stated:.7g}°; the copy has the angle put right"
+        )
+        if single.as_outlier:
+            words += f" (an outlier of channel {single.channels[0]} would look the same)"
+        return words
+    off = ", ".join(
+        f"{c} by {v:+.3g} {view.unit}"
+        for c, v in zip("xyz", single.shift, strict=True)
+        if c in single.channels
+    )
+    return (
+        f"channel {off} off what the other readings let expect ({single.sigma:.0f} standard deviations); "
+        "the copy leaves the reading out"
+    )
+
+
+def _put_right(readings: Readings, view: _FirstGuess, singles: Sequence[SingleMistake]) -> Readings:
+    """Return a copy with the angles of wrong settings put right, and without the readings with an outlier."""
+    angle, kept = readings.angle_rad.copy(), np.ones(len(readings), dtype=bool)
+    skipped = list(readings.skipped)
+    for single in singles:
+        row = view.table.rows[single.row]
+        if single.off_rad is None:
+            kept[row] = False
+            skipped.append(_single_mistake(view, single).words.split(";")[0])
+        else:
+            angle[row] += single.off_rad
+    return replace(readings, angle_rad=angle, skipped=tuple(skipped)).select(kept)
+
+
+def _with_evidence(
+    stage: _Stage, found: Sequence[Mistake], copies: Sequence[Readings]
+) -> tuple[Mistake, ...]:
+    """Say of each mistake how far readings and data sheet were from the model before and after, in noise."""
+    if not found:
+        return ()
+    views = [stage.view(copy) for copy in copies]
+    situations = [v.situation for v in views]
+    noise = examine(views[-1].model, situations[-1], None, 0).noise
+    sizes = [
+        float(np.sqrt((weigh(v.model, s, noise).chi2 + v.sheet) / s.left.size))
+        for v, s in zip(views, situations, strict=True)
+    ]
+    return tuple(
+        replace(mistake, evidence=Evidence(before, after))
+        for mistake, before, after in zip(found, sizes[:-1], sizes[1:], strict=True)
+    )

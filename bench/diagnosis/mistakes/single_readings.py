@@ -1,0 +1,402 @@
+"""Wrong settings and outliers: readings that contradict their repeats, judged by the tails of the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from scipy import special
+
+from bench.base.arrays import CHANNELS, Floats, Ints
+from bench.calibration.design import Problem
+from bench.calibration.noise import whiten
+from bench.calibration.result import Noise
+from bench.diagnosis.mistakes.describing import (
+    NEAR_DEG,
+    Description,
+    Descriptions,
+    Examination,
+    Precision,
+    Situation,
+    descriptions,
+    examine,
+    expected_chi2,
+    finish,
+    turns,
+    weigh,
+)
+from bench.model.block import Block
+from bench.readings import mistaken
+
+HEAVY_DOF: Final = 4.0
+"""Tails are held against those of Student's t with as many degrees of freedom."""
+SCALES: Final = np.geomspace(0.3, 2.0, 40)
+"""Scales that are tried, in root mean squares."""
+LEAST_VALUES: Final = 12
+NONE: Final = np.zeros(0)
+
+
+BEYOND_TAILS: Final = 17.0
+"""Where the noise has heavy tails an outlier is so many times the noise off: a nearer one may be noise.
+
+Student's t of 4 degrees of freedom, whose size is taken a fifth too small for its tails, goes there in 7 of 1,000
+runs of the paper's length; and one of 20 times is beyond it though the noise be taken 15 % too large."""
+OUTLIER_RATE: Final = 1e-3
+"""So many of the values of a record are outliers, before it is looked at,"""
+OUTLIER_DECADES: Final = 4.0
+"""of any size over so many powers of ten."""
+
+
+def odds_of_tails(values: Floats, outliers: Floats = NONE) -> float:
+    """Return ln of how much likelier all are as noise with heavy tails than as normal noise with outliers in it.
+
+    `values` (n,) are those that may be normal noise, `outliers` (m,) those that cannot, in the same unit; the scale
+    of either noise is its best. Below 0 for a normal noise; 0 where there are too few values to tell.
+    """
+    if len(values) < LEAST_VALUES:
+        return 0.0
+    size = float(np.sqrt(np.mean(values**2)))
+    if not size > 0.0:
+        return 0.0
+    normal = -len(values) * (0.5 + 0.5 * np.log(2 * np.pi))
+    density = OUTLIER_RATE / (OUTLIER_DECADES * np.log(10.0) * np.maximum(np.abs(outliers / size), 1.0))
+    z = np.concatenate([values, outliers]) / size
+    half = 0.5 * (HEAVY_DOF + 1.0)
+    constant = special.gammaln(half) - special.gammaln(0.5 * HEAVY_DOF) - 0.5 * np.log(HEAVY_DOF * np.pi)
+    heavy = constant - half * np.log1p((z[:, None] / SCALES) ** 2 / HEAVY_DOF) - np.log(SCALES)
+    return float(np.sum(heavy, axis=0).max() - normal - np.sum(np.log(density)))
+
+
+SLIPS_RAD: Final = tuple(
+    sign * slip
+    for slip in mistaken.SLIPS_RAD.values()
+    if slip < np.radians(NEAR_DEG)  # further off, nothing is known to be a repeat of it
+    for sign in (1, -1)
+)
+"""A setting off by 1°, 10′ or 1′; beside them the angle counted backwards, 360° - φ."""
+REFLECTED_RAD: Final = float(np.radians(0.5))
+"""A reflection that moves the head by less is none."""
+SLIP_PART: Final = 0.01
+"""How well the shift by a wrong setting is known, as a part of it: effects not in the model change it a little,"""
+SLIP_G: Final = 5e-4
+"""but by no more than this, in g."""
+
+MOST_STRANGE: Final = 6
+"""So many readings, or an eighth of them, may be mistakes; more are not single ones."""
+ADEQUATE: Final = 0.05
+"""A description is too plain where a freer one is better with a p below this."""
+INADEQUATE: Final = 1e-4
+"""It is too plain for certain where that p is below this."""
+LEAST_OF_TURN: Final = 6
+"""Readings of a pass of which a slip and another voltmeter, nine numbers, explain but half."""
+SEVERAL: Final = 3
+"""Strange readings of a pass that may be a slip: it shows in most of them, if not as clearly."""
+STANDS_OUT: Final = 3.5
+"""Least size, in standard deviations, of a mistake beside the descriptions that are freer than needed."""
+EXPLAINED: Final = 1e-4
+"""A kind of mistake explains a reading if what it leaves has a p above this."""
+TAILS_ODDS: Final = -2.5
+"""Nearer outliers are tails where ln of the odds for them is more (12 to 1 against): taken for noise they are
+weighed down and do little harm, taken for mistakes they are left out and alleged."""
+OF_READING: Final = 0.5
+"""A channel tells of the noise of readings where no more of its scatter is along du/dphi."""
+DIRECTIONS: Final = 4
+"""Looks at a reading: its three channels, and along du/dphi."""
+
+
+@dataclass(frozen=True)
+class SingleMistake:
+    """A reading (row of the problem) that is wrong: its head stood `off_rad` from where it says, or an outlier.
+
+    `off_rad` is None for an outlier of `channels`; `as_outlier` marks a wrong setting that an outlier of one
+    channel explains as well; `shift` (3,) is by how much the signals are off, unit of the signal; `p` counts
+    all looks; `sigma` is the size in standard deviations.
+    """
+
+    row: int
+    channels: tuple[str, ...]
+    off_rad: float | None
+    as_outlier: bool
+    shift: Floats
+    p: float
+    sigma: float
+
+
+def find_single(
+    problem: Problem, block: Block, situation: Situation, looks: int, significance: float
+) -> tuple[list[SingleMistake], int]:
+    """Return the readings that are wrong, the largest first, and the number of looks, `looks` before included.
+
+    `block` is a first guess that wrong readings did not spoil, `situation` the readings about it,
+    `significance` the probability of naming any reading where none is wrong.
+    """
+    described = descriptions(problem, block)
+    looks += DIRECTIONS * len(situation.left)
+    ladder = _Ladder(situation, described, max(MOST_STRANGE, len(situation.left) // 8))
+    level = ladder.adequate(turns(problem.conditions))
+    examined = ladder.examined(level)
+    if not examined.strange or len(examined.strange) > ladder.most:
+        return [], looks
+    judged = _significant(situation, described.ladder[level], examined, significance / looks)
+    slips = _slips(problem, block)
+    first = problem.conditions.remounted
+    found = []
+    for row in judged.strange:
+        mistake = _classify(situation, judged, row, slips, looks)
+        others = [r for r in judged.strange if r != row]
+        held = ladder.freer(level, mistake, bool(first[row]))
+        freer = [weigh(description, situation, judged.noise).without(others) for description in held]
+        if all(float(np.max(_studentised(p, situation, judged.noise, row))) > STANDS_OUT for p in freer):
+            found.append(mistake)
+    near = [m for m in found if m.off_rad is None and _in_readings(m, judged.noise) < BEYOND_TAILS]
+    if near and _tailed(situation, judged, near):
+        found = [m for m in found if m not in near]
+    turned = level + 1 == len(described.ladder)
+    return sorted(_alone(found, turned=turned), key=lambda m: -m.sigma), looks
+
+
+def _in_readings(mistake: SingleMistake, noise: Noise) -> float:
+    """Return how far off an outlier is, in units of the noise of a reading."""
+    return float(max(abs(mistake.shift["xyz".index(c)]) for c in mistake.channels)) / noise.reading
+
+
+def _tailed(situation: Situation, judged: Examination, near: Sequence[SingleMistake]) -> bool:
+    """Whether outliers that are near are as well the tails of the noise, by the readings that are none."""
+    rest = judged.precision.without(judged.strange)
+    good = np.setdiff1d(np.arange(len(situation.left)), judged.strange).tolist()
+    blocks, pulls = rest.blocks, rest.pulls
+    sizes = np.stack([_ways_of(blocks[r], pulls[r], _ways(situation, judged.noise, r)) for r in good])
+    along = np.stack([_along_parts(situation, judged.noise, r) for r in good])
+    by_channel = [sizes[along[:, c] < OF_READING, c] for c in range(3)]
+    scale = [max(float(np.sqrt(np.mean(of**2))), 1e-300) if len(of) else 1.0 for of in by_channel]
+    alike = [of / size for of, size in zip(by_channel, scale, strict=True)]
+    return odds_of_tails(np.concatenate(alike), np.array([m.sigma for m in near])) > TAILS_ODDS
+
+
+def _ways_of(block: Floats, pull: Floats, ways: Floats) -> Floats:
+    variance = np.einsum("iw,ij,jw->w", ways, block, ways)
+    return np.asarray(pull @ ways / np.sqrt(np.maximum(variance, 1e-300)))
+
+
+def _alone(found: Sequence[SingleMistake], *, turned: bool) -> list[SingleMistake]:
+    """Leave out outliers that go on from one reading to the next: those of a change, not of a mistake.
+
+    Beside the freest description (`turned`), which has a slip in each pass, whatever their sign: the block may have
+    slipped within one.
+    """
+
+    def goes_on(one: SingleMistake, other: SingleMistake) -> bool:
+        common = ["xyz".index(channel) for channel in one.channels if channel in other.channels]
+        alike = any(turned or one.shift[i] * other.shift[i] > 0 for i in common)
+        return abs(one.row - other.row) == 1 and alike
+
+    return [m for m in found if m.off_rad is not None or not any(goes_on(m, other) for other in found)]
+
+
+class _Ladder:
+    """Descriptions from the plainest to the freest; readings are held against each when asked for."""
+
+    def __init__(self, situation: Situation, described: Descriptions, most: int) -> None:
+        self.most = most
+        self._situation = situation
+        self._described = described
+        self._examined: dict[int, Examination] = {}
+
+    def examined(self, level: int) -> Examination:
+        """Return the examination against a description of the ladder."""
+        if level not in self._examined:
+            start = self._examined[max(self._examined)].noise if self._examined else None
+            description = self._described.ladder[level]
+            self._examined[level] = examine(description, self._situation, start, self.most)
+        return self._examined[level]
+
+    def adequate(self, turn: Ints) -> int:
+        """Return the plainest description that the next one does not better by more than noise.
+
+        Only as far as there is anything strange to be explained. Several strange readings of one `turn` (n,), a
+        pass in a mounting, may be what a slip of the block made of them: where the freest description, which has
+        that, explains some of them and makes no others of the pass strange it is the adequate one, as what was
+        left out tells nothing for it. Two outliers it would explain too often, and of a few readings anything.
+        """
+        level = self._plainest()
+        strange = np.array(self.examined(level).strange, dtype=np.int64)
+        told = np.bincount(turn) >= LEAST_OF_TURN
+        slipped = told & (np.bincount(turn[strange], minlength=len(told)) >= SEVERAL)
+        freest = len(self._described.ladder) - 1
+        if np.any(slipped):
+            left = {row for row in self.examined(freest).strange if slipped[turn[row]]}
+            if left < set(strange[slipped[turn[strange]]].tolist()):
+                return freest
+        return level
+
+    def _plainest(self) -> int:
+        level = 0
+        while level + 1 < len(self._described.ladder):
+            plain = self.examined(level)
+            if not plain.strange:
+                break
+            free = self.examined(level + 1)
+            strange = tuple(dict.fromkeys((*plain.strange, *free.strange)))
+            description = self._described.ladder[level + 1]
+            if (
+                len(plain.strange) <= self.most
+                and self._p(level, description, free.noise, strange) > ADEQUATE
+            ):
+                break
+            level += 1
+        return level
+
+    def freer(self, level: int, mistake: SingleMistake, first: bool) -> Sequence[Description]:
+        """Return the descriptions beside which a mistake must stand out, too: of what may pass for one.
+
+        Readings that drift may, and hysteresis in the first readings of a mounting. One that is small passes for
+        stand angles in all but the very first reading (`first`), and is held against it as the catalogue has it;
+        one that is large shows in the others, too: where the plainest description does not do, any of the first
+        readings may be off. It hardly passes for a wrong setting, which shifts the signals by known amounts.
+        """
+        described, examined = self._described, self.examined(level)
+        ladder = described.ladder[level + 1 :]
+        hysteresis: list[Description] = []
+        if mistake.off_rad is None and level > 0 and self._plainly_not(level):
+            hysteresis = [described.beginning]
+        elif mistake.off_rad is None and first:
+            hysteresis = [*described.hysteretic]
+        if level > 0:
+            return [*ladder, *hysteresis]
+        steady = self._p(level, described.drifting, examined.noise, examined.strange) > ADEQUATE
+        return [*(ladder[:-1] if steady else ladder), *hysteresis]
+
+    def _plainly_not(self, level: int) -> bool:
+        """Whether the plainest description does not do, and not by chance."""
+        free = self.examined(level)
+        strange = tuple(dict.fromkeys((*self.examined(0).strange, *free.strange)))
+        return self._p(0, self._described.ladder[level], free.noise, strange) < INADEQUATE
+
+    def _p(self, level: int, free: Description, noise: Noise, strange: Sequence[int]) -> float:
+        """Return the p of what a freer description explains more: F test, without what is strange."""
+        chi2, dof = [], []
+        for description in (self._described.ladder[level], free):
+            precision = weigh(description, self._situation, noise).without(strange)
+            chi2.append(precision.chi2)
+            dof.append(expected_chi2(precision, description, self._situation, noise))
+        more = max(dof[0] - dof[1], 1.0)
+        ratio = max(chi2[0] - chi2[1], 0.0) / more / max(chi2[1] / dof[1], 1e-300)
+        return float(special.fdtrc(more, dof[1], ratio))
+
+
+def _significant(
+    situation: Situation, description: Description, examined: Examination, limit: float
+) -> Examination:
+    """Take back, one after another, readings whose p is not below the limit once the others are left out."""
+    judged = examined
+    while judged.strange:
+        p = [_p(situation, judged, row)[0] for row in judged.strange]
+        worst = int(np.argmax(p))
+        if p[worst] < limit:
+            break
+        kept = [row for row in judged.strange if row != judged.strange[worst]]
+        judged = finish(description, situation, judged.noise, kept)
+    return judged
+
+
+def _p(situation: Situation, judged: Examination, row: int) -> tuple[float, float]:
+    """Return the p of a strange reading in the direction in which it stands out most, and its size in sigma.
+
+    A channel that scatters more than the others is held against its own scatter.
+    """
+    others = [r for r in judged.strange if r != row]
+    size = _studentised(judged.precision.without(others), situation, judged.noise, row)
+    rest = judged.precision.without(judged.strange)
+    good = np.setdiff1d(np.arange(len(situation.left)), judged.strange)
+    all_sizes = np.array([_studentised(rest, situation, judged.noise, r) for r in good.tolist()])
+    size = size / np.maximum(np.sqrt(np.mean(all_sizes**2, axis=0)), 1.0)
+    along = _along_parts(situation, judged.noise, row)
+    dof = 1 / (along**2 / judged.dof[0] + (1 - along) ** 2 / judged.dof[1])
+    p = 2 * special.stdtr(dof, -size)
+    best = int(np.argmin(p))
+    return float(p[best]), float(size[best])
+
+
+def _ways(situation: Situation, noise: Noise, row: int) -> Floats:
+    """Unit shifts of x, y, z and along du/dphi, whitened, (3, 4)."""
+    raw = np.column_stack([np.eye(3), situation.unit[row]])
+    return np.asarray(whiten(raw[None], situation.slope[row : row + 1], noise)[0])
+
+
+def _along_parts(situation: Situation, noise: Noise, row: int) -> Floats:
+    """How much of the test in each direction rests on the noise along du/dphi, (4,)."""
+    ways = _ways(situation, noise, row)
+    return np.asarray((situation.unit[row] @ ways) ** 2 / np.sum(ways**2, axis=0))
+
+
+def _studentised(precision: Precision, situation: Situation, noise: Noise, row: int) -> Floats:
+    """Return a reading's difference from the others in the four directions, in standard deviations, (4,)."""
+    return np.abs(_ways_of(precision.blocks[row], precision.pulls[row], _ways(situation, noise, row)))
+
+
+def _slips(problem: Problem, block: Block) -> list[tuple[Floats, Floats]]:
+    """Return, for each kind of wrong setting, by how much the head (n,) and the signals (n, 3) are off."""
+    angle = problem.conditions.angle_rad
+    offs = [np.full(len(angle), off) for off in SLIPS_RAD]
+    offs.append(mistaken.reflected_rad(angle))
+    here = problem.predict(block, problem.prior_mean)
+    slips = []
+    for off in offs:
+        there = replace(problem, conditions=replace(problem.conditions, angle_rad=angle + off))
+        slips.append((off, there.predict(block, problem.prior_mean) - here))
+    return slips
+
+
+def _classify(
+    situation: Situation, judged: Examination, row: int, slips: Sequence[tuple[Floats, Floats]], looks: int
+) -> SingleMistake:
+    """Tell a wrong setting, which moves the three signals as the model says, from an outlier."""
+    others = [r for r in judged.strange if r != row]
+    precision = judged.precision.without(others)
+    covariance = np.linalg.inv(precision.blocks[row])
+    shift = covariance @ precision.pulls[row]
+    ways = _ways(situation, judged.noise, row)[:, :3]
+    raw = np.linalg.solve(ways, shift)
+    p, sigma = _p(situation, judged, row)
+
+    channels, outlier_p = _outlier(shift, precision.blocks[row], ways)
+    off, least = None, float(special.chdtri(3, EXPLAINED))
+    for offs, moved in slips:
+        expected = ways @ moved[row]
+        if abs(offs[row]) < REFLECTED_RAD and not np.isclose(np.abs(SLIPS_RAD), abs(offs[row])).any():
+            continue
+        known = min(
+            SLIP_PART,
+            SLIP_G * float(np.linalg.norm(situation.slope[row])) / float(np.linalg.norm(moved[row])),
+        )
+        around = covariance + known**2 * float(expected @ expected) * np.eye(3)
+        missed = shift - expected
+        chi2 = float(missed @ np.linalg.solve(around, missed))
+        if chi2 < least:
+            off, least = float(offs[row]), chi2
+    as_outlier = len(channels) == 1 and outlier_p > EXPLAINED
+    if off is not None:
+        moved_by = zip(CHANNELS, np.abs(raw), strict=True)
+        channels = tuple(c for c, size in moved_by if size > SLIP_PART * np.max(np.abs(raw)))
+    return SingleMistake(row, channels, off, as_outlier, raw, min(looks * p, 1.0), sigma)
+
+
+def _outlier(shift: Floats, precision: Floats, ways: Floats) -> tuple[tuple[str, ...], float]:
+    """Return the fewest channels whose readings alone may be off, with the p of what that leaves."""
+    pull = precision @ shift
+    whole = float(shift @ pull)
+    for number in (1, 2):
+        best: tuple[int, ...] = ()
+        least = np.inf
+        for chosen in combinations(range(3), number):
+            own = ways[:, list(chosen)]
+            left = whole - float((own.T @ pull) @ np.linalg.solve(own.T @ precision @ own, own.T @ pull))
+            if left < least:
+                best, least = chosen, left
+        p = float(special.chdtrc(3 - number, max(least, 0.0)))
+        if p > EXPLAINED:
+            return tuple("xyz"[i] for i in best), p
+    return ("x", "y", "z"), 1.0

@@ -1,0 +1,352 @@
+"""Several runs as one linear system, and the candidates in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from bench.base.arrays import Floats, Ints
+from bench.calibration.calibrate import first_guess
+from bench.calibration.design import make_problem
+from bench.calibration.result import CalibrationError
+from bench.diagnosis.candidates import (
+    FREE_BY_ANGLE,
+    FREE_BY_PASS,
+    HEAD_ANGLE,
+    SCALE_BY_RUN,
+    SLOW_IN_TIME,
+    SUBSETS,
+    WAVES,
+    ZERO_BY_RUN,
+    Candidates,
+    Collector,
+    Column,
+    Variant,
+    each,
+    make_candidates,
+)
+from bench.diagnosis.linear import LinearSystem, Rows, make_linear
+from bench.diagnosis.mistakes.search import MistakeSearch, find_mistakes
+from bench.model.block import Block
+from bench.model.conditions import Conditions, Mounting
+from bench.model.effects import AppliedEffect, Effect, Stage
+from bench.model.effects.base import Subsystem
+from bench.model.forward import ForwardModel
+from bench.readings.joined import stacked
+from bench.readings.table import VERIFICATION, Readings
+
+OTHER_SCALE: Final = 1e-3
+OTHER_CROSS: Final = 3e-3
+OTHER_ZERO_G: Final = 10e-3
+"""Further than this, of the scale factor, a block hardly changes between runs: it is taken for another one."""
+
+
+@dataclass(frozen=True)
+class JointSystem(LinearSystem):
+    """The systems of several blocks as one; `block` is the first, `parts` are those of each."""
+
+    parts: tuple[LinearSystem, ...]
+
+    @property
+    def g_per_signal(self) -> Floats:
+        """What turns a row into g (N,), each by its own block."""
+        return self._of_each_block(lambda part: part.g_per_signal)
+
+    def _of_each_block(self, of: Callable[[LinearSystem], Floats]) -> Floats:
+        """Return what is of a row by its own block, shape (N,)."""
+        assert self.readings.block is not None  # noqa: S101 - it is a system of several
+        block = self.readings.block[self.rows.reading]
+        size = np.empty(len(self))
+        for number, part in zip(np.unique(self.readings.block), self.parts, strict=True):
+            mine = block == number
+            rows = Rows(self.rows.reading[mine], self.rows.channel[mine])
+            size[mine] = of(replace(part, readings=self.readings, rows=rows, response=self.response[mine]))
+        return size
+
+    @property
+    def relative_of_channel(self) -> Floats:
+        """How large the noise of a row is for its channel (N,), of a modulus as its own block shows it."""
+        return self._of_each_block(lambda part: replace(part, by_channel=self.by_channel).relative_of_channel)
+
+    @cached_property
+    def conditions(self) -> Conditions:
+        """The conditions of all readings, in the order of measurement."""
+        return self.readings.conditions()
+
+    def effect_column(self, applied: AppliedEffect) -> Floats:
+        """Return what an effect with these values adds to the rows, shape (N,)."""
+        return np.concatenate([part.effect_column(applied) for part in self.parts])
+
+    def effect_columns(self, applied: AppliedEffect) -> Floats:
+        """Return the same for each channel of an effect of the block apart, shape (N, 3)."""
+        return np.concatenate([part.effect_columns(applied) for part in self.parts])
+
+    def formula_columns(self, applied: AppliedEffect) -> Floats:
+        """Return what an effect that needs no path adds to the rows, the same in all blocks, as of one."""
+        return np.concatenate([part.formula_columns(applied) for part in self.parts])
+
+    def course_columns(self, course: Floats, stage: Stage, adds_to: str = "", *, of_force: bool) -> Floats:
+        """Return what a course over the readings (n,) adds at a stage, the same in all blocks, as of one."""
+        assert self.readings.block is not None  # noqa: S101 - it is a system of several
+        own = [course[self.readings.block == number] for number in np.unique(self.readings.block)]
+        return np.concatenate(
+            [
+                part.course_columns(mine, stage, adds_to, of_force=of_force)
+                for mine, part in zip(own, self.parts, strict=True)
+            ]
+        )
+
+
+def make_system(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:
+    """Make readings of one block or of several linear. Raises `CalibrationError` as `make_linear` does."""
+    if readings.block is None:
+        return make_linear(readings, model, stand_u)
+    tables = [np.flatnonzero(readings.block == number) for number in np.unique(readings.block)]
+    parts = [make_linear(_rows_of(readings, rows), model, stand_u) for rows in tables]
+    starts = np.cumsum([0, *(part.settings for part in parts)])
+    own = [_random_of(part, stand_u) for part in parts]
+    shared = np.concatenate([shared for shared, _ in own])
+    first = parts[0]
+    return JointSystem(
+        readings=readings,
+        model=model,
+        block=first.block,
+        rows=Rows(
+            np.concatenate([rows[part.rows.reading] for rows, part in zip(tables, parts, strict=True)]),
+            np.concatenate([part.rows.channel for part in parts]),
+        ),
+        response=np.concatenate([part.response for part in parts]),
+        fixed=np.asarray(block_diag(*(part.fixed for part in parts)), dtype=np.float64),
+        random=np.column_stack([block_diag(*(alone for _, alone in own)), shared]),
+        slope=np.concatenate([part.slope for part in parts]),
+        setting=np.concatenate(
+            [np.where(p.setting >= 0, p.setting + s, -1) for p, s in zip(parts, starts[:-1], strict=True)]
+        ),
+        moved=readings.select(readings.is_oriented).conditions(),
+        view=first.view,
+        problem=first.problem,
+        orientation=next(
+            (p.orientation for p in parts if p.orientation is not None and p.orientation.contradicts),
+            first.orientation,
+        ),
+        parts=tuple(parts),
+    )
+
+
+def _rows_of(readings: Readings, rows: Ints) -> Readings:
+    chosen = np.zeros(len(readings), dtype=bool)
+    chosen[rows] = True
+    return replace(readings.select(chosen), block=None)
+
+
+def _random_of(part: LinearSystem, stand_u: Mapping[str, float]) -> tuple[Floats, Floats]:
+    """Return the columns that a block shares with others, of what the bench has, and those of its own."""
+    problem = make_problem(part.model, part.moved, stand_u)
+    of_bench = np.zeros(part.random.shape[1], dtype=bool)
+    for place, unknown in enumerate(problem.effects):
+        subsystem = part.model.effects[unknown.effect].effect.subsystem
+        of_bench[len(problem.stand) + place] = subsystem is not Subsystem.BLOCK
+    return part.random[:, of_bench], part.random[:, ~of_bench]
+
+
+# --- which runs are of one block ----------------------------------------------------------------------
+
+
+def with_blocks(readings: Readings, model: ForwardModel) -> Readings:
+    """Return readings of several runs with the number of the block of each row; None where all are of one.
+
+    Where nobody says it, the coefficients that each run gives tell. A run that does not determine them is
+    taken for one of the first block.
+    """
+    if readings.block is not None:
+        return readings if len(np.unique(readings.block)) > 1 else replace(readings, block=None)
+    runs = readings.run
+    if not runs.any():
+        return readings
+    known: list[Block] = []
+    block = np.zeros(len(readings), dtype=np.int64)
+    for number in range(int(runs.max()) + 1):
+        own = _guess(readings.select(runs == number), model)
+        if own is None:
+            continue
+        same = [i for i, other in enumerate(known) if not _differs(own, other)]
+        if not same:
+            known.append(own)
+        block[runs == number] = same[0] if same else len(known) - 1
+    if len(known) < 2:
+        return readings
+    return replace(readings, block=block, notes=(*readings.notes, *_told(readings, block)))
+
+
+def _guess(run: Readings, model: ForwardModel) -> Block | None:
+    rows = run.oriented()
+    try:
+        return first_guess(make_problem(model, rows.conditions(), {}), rows.signal)
+    except (CalibrationError, KeyError):
+        return None
+
+
+def _differs(one: Block, other: Block) -> bool:
+    scale = np.abs(np.diag(other.K))
+    change = np.abs(one.K - other.K) / scale[:, None]
+    most = np.where(np.eye(3, dtype=bool), OTHER_SCALE, OTHER_CROSS)
+    return bool(np.any(change > most) or np.any(np.abs(one.U0 - other.U0) > OTHER_ZERO_G * scale))
+
+
+def _told(readings: Readings, block: Ints) -> Iterator[str]:
+    series = [
+        f"block {number + 1}: series {', '.join(str(s) for s in np.unique(readings.series[block == number]))}"
+        for number in np.unique(block)
+    ]
+    yield (
+        f"the coefficients say that these are {len(series)} blocks ({'; '.join(series)}): each has coefficients of "
+        "its own, the stand and the meters are the same for all; --one-block says that they are one"
+    )
+
+
+def find_mistakes_in_each(
+    readings: Readings, model: ForwardModel, stand_u: Mapping[str, float], nominal: Floats | None
+) -> MistakeSearch:
+    """Look for mistakes in the runs of each block. `nominal` (3,) or (blocks, 3), else as `find_mistakes`."""
+    if readings.block is None:
+        return find_mistakes(readings, model, stand_u, None if nominal is None else np.atleast_2d(nominal)[0])
+    numbers = np.unique(readings.block)
+    sheets = [None] * len(numbers) if nominal is None else np.broadcast_to(nominal, (len(numbers), 3))
+    found = [
+        find_mistakes(readings.select(readings.block == number), model, stand_u, sheet)
+        for number, sheet in zip(numbers, sheets, strict=True)
+    ]
+    corrected = stacked([one.corrected for one in found])
+    return MistakeSearch(
+        tuple(mistake for one in found for mistake in one.mistakes),
+        replace(corrected, source=readings.source, notes=readings.notes, skipped=_skipped(found, readings)),
+        sum(one.looks for one in found),
+    )
+
+
+def _skipped(found: list[MistakeSearch], readings: Readings) -> tuple[str, ...]:
+    return tuple(dict.fromkeys([*readings.skipped, *(row for one in found for row in one.corrected.skipped)]))
+
+
+OWN_IN_EACH_RUN: Final = ("warm_up", "bias_drift", "scale_drift", "voltmeter_drift")
+"""What begins anew with every run need not be as large in each."""
+
+
+def candidates_of(linear: LinearSystem, unit_noise: float, absent: Collection[str] = ()) -> Candidates:
+    """Collect all that might be missing in these readings, of one run or of several; arguments as for one."""
+    if not linear.readings.run.any():
+        return make_candidates(linear, unit_noise, absent=absent)
+    return make_candidates(linear, unit_noise, _mount_sets, _add_unnamed, absent=absent)
+
+
+# --- effects of the catalogue -------------------------------------------------------------------------
+
+
+def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
+    """Yield the same everywhere, in one installation of every run, each block or run or mounting its own.
+
+    What is of some passes is looked for in each run. An effect with a shape is the same in all blocks, or is found
+    in one of them: no shape is looked for that fits blocks of different sizes.
+    """
+    readings = linear.readings
+    if effect.per_pass:
+        return
+    if not effect.per_mount:
+        yield ((),)
+        if readings.block is not None and effect.subsystem is Subsystem.BLOCK:
+            if not any(parameter.is_shape for parameter in effect.parameters):
+                yield tuple(labels for labels in _labels(readings, readings.block))
+        elif readings.block is None and effect.name in OWN_IN_EACH_RUN:
+            yield tuple(labels for labels in _labels(readings, readings.run))
+        return
+    mounts = [m for m in linear.moved.mounts if m.installation != VERIFICATION]
+    if effect.lasts:
+        first = {labels[0] for labels in _labels(readings, readings.run)}
+        mounts = [mount for mount in mounts if str(mount) not in first]
+    groups = [tuple(str(m) for m in mounts)]
+    names = dict.fromkeys(m.installation for m in mounts)
+    if len(names) > 1:
+        groups += [tuple(str(m) for m in mounts if m.installation == name) for name in names]
+    yield from ((group,) for group in groups if group)
+    if len(mounts) > 1:
+        yield tuple((str(mount),) for mount in mounts)
+
+
+def _labels(readings: Readings, number: Ints) -> Iterator[tuple[str, ...]]:
+    """Yield for each number in turn the mountings of its rows, in order."""
+    for one in np.unique(number):
+        mine = number == one
+        pairs = zip(readings.series[mine].tolist(), readings.installation[mine].tolist(), strict=True)
+        yield tuple(dict.fromkeys(str(Mounting(series, name)) for series, name in pairs))
+
+
+# --- families without a name --------------------------------------------------------------------------
+
+
+def _add_unnamed(collector: Collector, unit: float) -> None:
+    """Add what has no name: the same in every run, or another zero or scale factor in each."""
+    linear, free = collector.linear, collector.add_free
+    rows, readings = linear.rows, linear.readings
+    run = readings.run[rows.reading]
+    oriented = linear.setting >= 0
+    angle = np.round(np.degrees(np.nan_to_num(readings.angle_rad[rows.reading])) / 5.0).astype(np.int64)
+    mount = list(zip(_visit(readings)[rows.reading], readings.installation[rows.reading], strict=True))
+    pass_number = readings.pass_number[rows.reading]
+    phase = _phase(readings)[rows.reading]
+    for channel in range(3):
+        mine = oriented & (rows.channel == channel)
+        free(FREE_BY_ANGLE, (channel,), [unit * one for one in each(mine, mount, angle)], several=True)
+        free(FREE_BY_PASS, (channel,), [unit * one for one in each(mine, mount, pass_number)], several=True)
+        waves = [unit * mine * np.cos(np.pi * k * phase) for k in range(1, WAVES + 1)]
+        free(SLOW_IN_TIME, (channel,), waves)
+    errors = [np.where(one > 0.0, linear.slope / linear.typical_slope, 0.0) for one in each(oriented, angle)]
+    free(HEAD_ANGLE, (0, 1, 2), [unit * one for one in errors], several=True)
+    _add_by_run(collector, run, unit)
+
+
+def _add_by_run(collector: Collector, run: Ints, unit: float) -> None:
+    """Add zeros and scale factors of their own in every run, where a block has more than one."""
+    linear = collector.linear
+    readings = linear.readings
+    block = np.zeros(len(readings), dtype=np.int64) if readings.block is None else readings.block
+    if len(set(zip(block.tolist(), readings.run.tolist(), strict=True))) == len(set(block.tolist())):
+        return
+    for family, first in ((ZERO_BY_RUN, 9), (SCALE_BY_RUN, 0)):
+        places: dict[int, tuple[int, ...]] = {}
+        for channel in range(3):
+            coefficient = first + channel if family == ZERO_BY_RUN else 4 * channel
+            # the column of the coefficient is the derivative by it: of a size that the noise has
+            whole = linear.fixed[:, coefficient::12].sum(axis=1)
+            scale = unit / max(float(np.max(np.abs(whole))), 1e-300)
+            columns = [whole * scale * (run == number) for number in np.unique(run)]
+            kind = Column(family, channel)
+            places[channel] = tuple(collector.add(column, kind, 1.0) for column in columns)
+        for channels in SUBSETS:
+            columns_of = tuple(i for channel in channels for i in places[channel])
+            collector.variants.append(Variant(family, columns_of, channels))
+
+
+def _visit(readings: Readings) -> Ints:
+    """Return which visit within its run a row is of, counted from 1."""
+    run = readings.run
+    visit = np.empty(len(readings), dtype=np.int64)
+    for number in np.unique(run):
+        mine = run == number
+        visit[mine] = readings.series[mine] - readings.series[mine].min() + 1
+    return visit
+
+
+def _phase(readings: Readings) -> Floats:
+    """Return how far in its run each reading is, 0 to 1."""
+    elapsed = readings.conditions().elapsed_s
+    run = readings.run
+    phase = np.zeros(len(readings))
+    for number in np.unique(run):
+        mine = run == number
+        phase[mine] = (elapsed[mine] - elapsed[mine].min()) / max(float(np.ptp(elapsed[mine])), 1e-300)
+    return phase

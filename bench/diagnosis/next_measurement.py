@@ -1,0 +1,380 @@
+"""What to measure next, judged on readings that a procedure would give."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
+from itertools import count
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from bench.base.arrays import Floats
+from bench.base.computing import tracked
+from bench.config.bench_file.file import BenchFile
+from bench.config.procedure.check import check
+from bench.config.procedure.load import Procedure, load_procedure
+from bench.config.procedure.plan import Plan, Read, SelectInput, SetTemperature
+from bench.config.shipped import PROCEDURES, shipped_folder
+from bench.diagnosis.candidates import in_volts
+from bench.diagnosis.linear import LinearSystem, make_linear
+from bench.diagnosis.result import Diagnosis
+from bench.diagnosis.visibility import ReadingDesign, form_of, forms_everywhere, forms_of
+from bench.model.block import Block
+from bench.model.conditions import Conditions
+from bench.model.effects import CATALOGUE
+from bench.model.forward import ForwardModel
+from bench.model.geometry import STAND_ANGLES
+from bench.readings.joined import JoinedPart, together
+from bench.readings.table import REFERENCE, REFERENCE_V, SHORTED, UNORIENTED, Readings, make_readings
+
+
+def planned_readings(
+    plan: Plan,
+    model: ForwardModel,
+    block: Block,
+    *,
+    temperature_c: float = float("nan"),
+    line_hz: float = 50.0,
+    unit: str = "V",
+) -> Readings:
+    """Return the readings that a plan would give on a stand without errors, in the order of measurement.
+
+    Times are those of the plan's estimate; `temperature_c` holds until the plan sets another.
+    The signals are those of `block` in `model`, in its unit, at the planned angles. Raises `KeyError` for an
+    installation that the model lacks.
+    """
+    reads: list[Read] = []
+    time_s: list[float] = []
+    warmth: list[float] = []
+    volts: list[float] = []
+    now_s, now_v = 0.0, float("nan")
+    for step in plan.steps:
+        match step:
+            case Read():
+                reads.append(step)
+                time_s.append(now_s)
+                warmth.append(temperature_c)
+                volts.append(now_v)
+            case SetTemperature():
+                temperature_c = step.target_c
+            case SelectInput():
+                now_v = {"signal": float("nan"), "short": 0.0}.get(step.source, step.reference_v or 0.0)
+        now_s += plan.step_duration_s(step, line_hz)
+    angle_rad = np.array([np.nan if r.target_rad is None else r.target_rad for r in reads])
+    table = make_readings(
+        [r.installation for r in reads],
+        [r.pass_number for r in reads],
+        [r.point for r in reads],
+        angle_rad,
+        np.zeros((len(reads), 3)),
+        source=plan.name,
+        unit=unit,
+        target_rad=angle_rad,
+        series=[r.series for r in reads],
+        direction=[r.direction or 0 for r in reads],
+        time_s=np.array(time_s),
+        temperature_c=np.array(warmth),
+        samples=[r.samples for r in reads],
+        scan_order=[r.scan for r in reads] if any(r.scan for r in reads) else None,
+    )
+    if any(label == REFERENCE for label in table.installation):
+        stated = ["" if r.installation != REFERENCE else repr(v) for r, v in zip(reads, volts, strict=True)]
+        table = replace(table, extra={**table.extra, REFERENCE_V: np.array(stated, dtype=np.str_)})
+    return replace(table, signal=_signals(table, model, block, np.array(volts)))
+
+
+def _signals(table: Readings, model: ForwardModel, block: Block, volts: Floats) -> Floats:
+    first = next(iter(model.installations))
+    inputs = np.isin(table.installation, [SHORTED, REFERENCE])
+    placed = replace(
+        table,
+        installation=np.where(inputs, first, table.installation),
+        angle_rad=np.where(np.isfinite(table.angle_rad), table.angle_rad, 0.0),
+    )
+    conditions: Conditions = placed.conditions()
+    force = replace(model, effects=()).specific_force(
+        conditions, np.zeros((len(conditions.mounts), 5)), block
+    )
+    return np.where(inputs[:, None], volts[:, None], block.output(force))
+
+
+def following(first: Readings, plan: Plan, model: ForwardModel, block: Block, line_hz: float) -> Readings:
+    """Return the readings `first` together with those of a plan that is carried out after them.
+
+    The temperature stays as it was last.
+    """
+    known = first.temperature_c[np.isfinite(first.temperature_c)]
+    warmth = float(known[-1]) if len(known) else float("nan")
+    planned = planned_readings(plan, model, block, temperature_c=warmth, line_hz=line_hz, unit=first.unit)
+    both = together([JoinedPart(first), JoinedPart(planned)])
+    # after a run the clock goes on: what is settled by then stays so
+    return both if first.began_s is not None else replace(both, began_s=None)
+
+
+def reads_inputs(plan: Plan) -> bool:
+    """Whether a plan reads a shorted or a reference input, which is in volts."""
+    return any(isinstance(s, Read) and s.installation in UNORIENTED for s in plan.steps)
+
+
+MENU: Final = (
+    "verification", "calibration", "inputs", "return", "turn-12", "remount-180", "remount-90", "discerning",
+    "turn-24",
+)  # fmt: skip
+"""Shipped procedures that are thought of."""
+
+SEPARATED: Final = 8.0
+"""D from which two explanations are told apart: four standard deviations."""
+
+HELPS: Final = 0.5
+"""A procedure that adds less than this to D is no help."""
+
+SHOWN: Final = 2.5
+"""An effect shows when its plausible size is so many units of noise: twice the plausible size is found then."""
+
+
+BLIND: Final = 5.0
+"""An effect that must be more than so many plausible sizes large to be found is as good as hidden."""
+
+
+@dataclass(frozen=True)
+class Separation:
+    """D of an effect that was found against one that it cannot be told from, without and with the procedure."""
+
+    effect: str
+    other: str
+    before: float
+    after: float
+
+    @property
+    def settled(self) -> bool:
+        """Whether the procedure tells them apart."""
+        return self.after >= SEPARATED
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What to measure next and why. `minutes` is the expected time; `shows` are effects hidden so far.
+
+    `source` is the procedure on the menu, `written` the file with the reason on top; `left_out` says of each
+    procedure that this bench cannot carry out why.
+    """
+
+    why: str
+    source: Path
+    minutes: float
+    settles: tuple[Separation, ...] = ()
+    shows: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    written: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the procedure."""
+        return self.source.stem
+
+    @property
+    def text(self) -> str:
+        """The procedure file: that of the menu with the reason on top."""
+        lines = textwrap.wrap(f"Proposed: {self.why}", 108, break_on_hyphens=False)
+        head = "".join(f"# {line}\n" for line in lines)
+        return f"{head}#\n{self.source.read_text(encoding='utf-8')}"
+
+    @property
+    def procedure(self) -> Path:
+        """The file to carry out: that of the menu until it is written elsewhere."""
+        return self.written or self.source
+
+    def write(self, path: Path) -> Proposal:
+        """Write the procedure; return the proposal that says where it stands. Raises `OSError`.
+
+        A file that is there is never written over: where it says something else, a number is added to the name.
+        """
+        path.parent.mkdir(parents=True, exist_ok=True)
+        for number in count(1):
+            free = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+            try:
+                with free.open("x", encoding="utf-8") as file:
+                    file.write(self.text)
+            except FileExistsError:
+                if not free.is_file() or free.read_bytes() != self.text.encode():
+                    continue
+            break
+        return replace(self, written=free)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "why": self.why,
+            "procedure": str(self.procedure),
+            "minutes": self.minutes,
+            "settles": [asdict(separation) for separation in self.settles],
+            "shows": list(self.shows),
+            "left_out": dict(self.left_out),
+        }
+
+
+def propose(diagnosis: Diagnosis, bench: BenchFile, menu: Sequence[Path] | None = None) -> Proposal | None:
+    """Propose what to measure next after a diagnosis; None when nothing on the menu helps.
+
+    Of the procedures that settle most ties the shortest; where none settles one, the one that tells most in
+    its time. Without a tie: the shortest of those that show most of what is hidden. `menu` are procedure files
+    (the shipped ones in `MENU` by default); one that includes others is not thought of. After a mistake, or where
+    something has no name, nothing is proposed.
+    """
+    if diagnosis.verdict in {"mistake", "unknown"}:
+        return None
+    folder = shipped_folder(PROCEDURES)
+    paths = [folder / f"{name}.yaml" for name in MENU] if menu is None else menu
+    bill = _Bill(diagnosis, bench, paths)
+    return bill.settling() if diagnosis.verdict == "confounded" else bill.showing()
+
+
+class _Bill:
+    """The procedures that a bench can carry out, each with the readings that it would add."""
+
+    def __init__(self, diagnosis: Diagnosis, bench: BenchFile, menu: Sequence[Path]) -> None:
+        self._diagnosis = diagnosis
+        self._bench = bench
+        linear = diagnosis.linear
+        self._model = replace(
+            linear.model, installations={**bench.installation_models(), **linear.model.installations}
+        )
+        self._stand_u = {
+            name: spread.u for name, spread in bench.stand_distributions().items() if name in STAND_ANGLES
+        }
+        self._forms = [form_of(diagnosis.candidates, f.variant) for f in diagnosis.naming.found]
+        self._mounts = [str(mount) for mount in linear.moved.mounts]
+        self.left_out: dict[str, str] = {}
+        self.plans = dict(self._possible(menu))
+
+    def _possible(self, menu: Sequence[Path]) -> Iterator[tuple[Path, Plan]]:
+        for path in menu:
+            procedure = _loaded(path, path.stat().st_mtime_ns)
+            problems = check(procedure.plan, self._bench)
+            if problems:
+                self.left_out[procedure.name] = problems[0]
+            elif len(procedure.files) > 1:
+                self.left_out[procedure.name] = "it includes other files"
+            elif reads_inputs(procedure.plan) and self._diagnosis.linear.readings.unit != "V":
+                self.left_out[procedure.name] = "it reads voltages, and the readings are in another unit"
+            else:
+                yield path, procedure.plan
+
+    def _linear(self, plan: Plan | None) -> LinearSystem:
+        """Return the readings as they are, or with those of a plan as a further run."""
+        linear = self._diagnosis.linear
+        if plan is None:
+            return linear
+        both = following(linear.readings, plan, self._model, linear.block, self._bench.line_frequency)
+        return make_linear(both, self._model, self._stand_u)
+
+    def _minutes(self, plan: Plan) -> float:
+        return plan.expected_duration_s(self._bench.line_frequency) / 60.0
+
+    # --- ties ---------------------------------------------------------------------------------------
+
+    def settling(self) -> Proposal | None:
+        """Return the procedure that settles the ties."""
+        before = self._divergences(None)
+        bills = []
+        for path, plan in self.plans.items():
+            after = self._divergences(plan)
+            pairs = [Separation(*pair, before[pair], after[pair]) for pair in before]
+            helped = tuple(s for s in pairs if s.after - s.before >= HELPS)
+            if helped:
+                bills.append((path, self._minutes(plan), helped))
+        if not bills:
+            return None
+        most = max(_settled(helped) for _, _, helped in bills)
+        if most:
+            path, minutes, settles = min((b for b in bills if _settled(b[2]) == most), key=lambda b: b[1])
+        else:
+            path, minutes, settles = max(bills, key=lambda b: sum(s.after - s.before for s in b[2]) / b[1])
+        why = _why_settles(settles, path.stem, minutes) + self._without()
+        return Proposal(why, path, minutes, settles, left_out=self.left_out)
+
+    def _divergences(self, plan: Plan | None) -> dict[tuple[str, str], float]:
+        """Return D of each effect that was found against each that it cannot be told from."""
+        diagnosis, linear = self._diagnosis, self._linear(plan)
+        result = {}
+        for index, effect in enumerate(diagnosis.effects):
+            # what has no name has no forms that a further run would show in a way of their own
+            others = [other for other in effect.cannot_tell_from if other in CATALOGUE]
+            if not others or not effect.in_catalogue:
+                continue
+            design = ReadingDesign(linear, diagnosis.noise, self._forms[:index] + self._forms[index + 1 :])
+            if plan is not None:
+                design.remounted((effect.name, *others), self._mounts)
+            for other in others:
+                rivals = forms_of(diagnosis.candidates, other)
+                result[effect.name, other] = design.divergence(effect.applied, rivals)
+        return result
+
+    # --- what is hidden -----------------------------------------------------------------------------
+
+    def showing(self) -> Proposal | None:
+        """Return the shortest procedure that shows most of what the readings could hardly show."""
+        diagnosis = self._diagnosis
+        sought = _looked_for(diagnosis.linear)
+        blind = [
+            name
+            for name, size in diagnosis.detectable.items()
+            if name in sought and (name in diagnosis.hidden or size > BLIND)
+        ]
+        bills = []
+        for path, plan in tracked(list(self.plans.items()), "what to measure next"):
+            design = ReadingDesign(self._linear(plan), diagnosis.noise, self._forms)
+            shown = [n for n in blind if design.visible(forms_everywhere(n)) >= SHOWN]
+            if shown:
+                bills.append((path, self._minutes(plan), tuple(shown)))
+        if not bills:
+            return None
+        path, minutes, names = min(bills, key=lambda b: (-len(b[2]), b[1]))
+        listed = ", ".join(names)
+        why = (
+            f"these readings could hardly or never show {listed}; together with the procedure '{path.stem}' "
+            f"(about {minutes:.0f} min) they would, from twice the plausible size on"
+        )
+        return Proposal(why + self._without(), path, minutes, shows=names, left_out=self.left_out)
+
+    def _without(self) -> str:
+        listed = "; ".join(f"{name} ({why})" for name, why in self.left_out.items())
+        return f". Not possible on this bench: {listed}" if listed else ""
+
+
+def _looked_for(linear: LinearSystem) -> frozenset[str]:
+    """Return the effects that were looked for: those that the model lacks and that have a size in the unit."""
+    own = {applied.effect.name for applied in linear.model.effects}
+    return frozenset(
+        name
+        for name, effect in CATALOGUE.items()
+        if name not in own and (linear.readings.unit == "V" or not in_volts(effect))
+    )
+
+
+@lru_cache(maxsize=64)
+def _loaded(path: Path, modified_ns: int) -> Procedure:
+    """Read a procedure once in a process, as long as its file stays what it is."""
+    return load_procedure(path)
+
+
+def _settled(separations: Sequence[Separation]) -> int:
+    return sum(s.settled for s in separations)
+
+
+def _why_settles(separations: Sequence[Separation], name: str, minutes: float) -> str:
+    ties = "; ".join(
+        f"{s.effect} and {s.other} (D {s.before:.1f} before, {s.after:.1f} after)" for s in separations
+    )
+    settled = _settled(separations)
+    verb = "tells apart" if settled == len(separations) else "tells better, not surely, apart"
+    if 0 < settled < len(separations):
+        verb = "tells some of these apart"
+    return (
+        f"the procedure '{name}' (about {minutes:.0f} min), taken together with these readings, {verb}: {ties}; "
+        f"D of {SEPARATED:g} is four standard deviations"
+    )

@@ -1,0 +1,380 @@
+"""The dictionary of the residual model: courses over angle, turns, time, temperature, passes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import ARCSEC, MINUTE, Floats
+from bench.diagnosis.candidates import Candidates, Column, Variant
+from bench.diagnosis.linear import LinearSystem
+from bench.model.conditions import Conditions
+from bench.model.effects import AppliedEffect, Parameter, Stage
+from bench.model.effects.base import Seen
+from bench.model.effects.expression import names_in
+from bench.model.effects.formula import SUBSYSTEM_OF, FormulaEffect
+from bench.model.effects.voltmeter import LOW_RANGE_V
+
+SIZE_NAMES: Final = ("A", "B")
+ALL: Final = (0, 1, 2)
+SLOWEST, FASTEST = 1, 6
+"""Half waves over a run by which something slow in time is described."""
+TIME_CONSTANTS_MIN: Final = (5, 10, 20, 40, 80)
+LAGS_MIN: Final = (0, 5, 10, 20, 30)
+LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What the size of a term is stated in, and how much of it is plausible, SI."""
+
+    text: str
+    si: float
+    plausible: float
+
+
+BIAS: Final = Unit("ug", 1e-6, 30e-6)
+BIAS_PER_K: Final = Unit("ug/K", 1e-6, 60e-6)
+SCALE: Final = Unit("ppm", 1e-6, 50e-6)
+SCALE_PER_K: Final = Unit("ppm/K", 1e-6, 100e-6)
+SQUARE: Final = Unit("ug", 1e-6, 20e-6)
+ANGLE: Final = Unit("arcsec", ARCSEC, 10 * ARCSEC)
+ANGLE_PER_K: Final = Unit("arcsec/K", ARCSEC, 10 * ARCSEC)
+VOLTS: Final = Unit("uV", 1e-6, 20e-6)
+VOLTS_PER_K: Final = Unit("uV/K", 1e-6, 20e-6)
+VOLTS_PER_V2: Final = Unit("uV/V^2", 1e-6, 3e-6)
+VOLTS_PER_V3: Final = Unit("uV/V^3", 1e-6, 1.3e-6)
+GAIN: Final = Unit("ppm", 1e-6, 25e-6)
+
+
+@dataclass(frozen=True)
+class Course:
+    """A course over a run: plain numbers of order 1, one `expression` for each size that it needs.
+
+    `constants` are shapes with one value; `of_temperature` where it is in kelvin; `long` where it may be of the
+    scale factor, too, `local` where it is of the bias or the head alone: of one angle, or from one reading on;
+    `once` where it happens at one time, so that no other pass tells of it.
+    """
+
+    words: str
+    expressions: tuple[str, ...]
+    constants: tuple[Parameter, ...] = ()
+    of_temperature: bool = False
+    long: bool = False
+    local: bool = False
+    once: bool = False
+
+
+@dataclass(frozen=True)
+class Term:
+    """A term of the dictionary: a course or a product at a stage, with the unit of its sizes.
+
+    `course` are the expressions of its course, where it is one, `of_force` one that is a part of the force.
+    """
+
+    family: str
+    stage: Stage
+    expressions: tuple[str, ...]
+    unit: Unit
+    adds_to: str = ""
+    constants: tuple[Parameter, ...] = ()
+    once: bool = False
+    course: tuple[str, ...] = ()
+    of_force: bool = False
+
+    def effect(self, name: str, *, per_channel: bool) -> FormulaEffect:
+        """Return the term as an effect of this name, with a size for each channel or one for all."""
+        sizes = SIZE_NAMES[: len(self.expressions)]
+        unit = self.unit
+        return FormulaEffect(
+            name=name,
+            stage=self.stage,
+            subsystem=SUBSYSTEM_OF[self.stage],
+            parameters=(
+                *(Parameter(s, unit.text, unit.si, unit.plausible, per_channel=per_channel) for s in sizes),
+                *self.constants,
+            ),
+            sentence=f"something without a name, described by {self.family}",
+            shown_by="a run over which more changes of what its formula depends on",
+            expression=" + ".join(
+                f"{size} * {_factor(text)}" for size, text in zip(sizes, self.expressions, strict=True)
+            ),
+            adds_to=self.adds_to,
+        )
+
+
+def _factor(text: str) -> str:
+    call = text.endswith(")") and text.count("(") == 1 and text.partition("(")[0].isidentifier()
+    plain = call or text.isidentifier()
+    return text if plain else f"({text})"
+
+
+@dataclass(frozen=True)
+class Dictionary:
+    """All terms in all their forms; `term_of` says by its columns what a variant of `candidates` is."""
+
+    candidates: Candidates
+    term_of: dict[tuple[int, ...], Term]
+
+    def of(self, variant: Variant) -> Term:
+        """Return the term of a variant."""
+        return self.term_of[variant.columns]
+
+
+def make_dictionary(linear: LinearSystem, given: Floats) -> Dictionary:
+    """Collect the columns of all terms, after those of what has a name by now, `given` (N, m)."""
+    columns: list[Floats] = list(given.T)
+    kinds = [Column("given", None)] * len(columns)
+    scale = [1.0] * len(columns)
+    variants: list[Variant] = []
+    term_of: dict[tuple[int, ...], Term] = {}
+
+    def take(term: Term, channels: tuple[int, ...], group: Sequence[tuple[str, int | None, Floats]]) -> None:
+        first = len(columns)
+        for size, channel, column in group:
+            columns.append(column)
+            kinds.append(Column(size, channel))
+            scale.append(term.unit.plausible)
+        places = tuple(range(first, len(columns)))
+        variants.append(Variant(term.family, places, channels))
+        term_of[places] = term
+
+    of_courses: dict[tuple[object, ...], Floats] = {}
+    for term in _terms(linear):
+        sizes = SIZE_NAMES[: len(term.expressions)]
+        each = dict(zip(sizes, _columns(linear, term, of_courses), strict=True))
+        if not any(np.any(column) for column in each.values()):
+            continue
+        if term.stage not in WITH_CHANNELS:
+            take(term, ALL, [(size, None, each[size][:, 0]) for size in sizes])
+            continue
+        for channel in ALL:
+            if any(np.any(each[size][:, channel]) for size in sizes):
+                take(term, (channel,), [(size, channel, each[size][:, channel]) for size in sizes])
+        take(term, ALL, [(size, None, each[size].sum(axis=1)) for size in sizes])
+    return Dictionary(
+        Candidates(np.stack(columns, axis=1), tuple(kinds), np.array(scale), tuple(variants)), term_of
+    )
+
+
+WITH_CHANNELS: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
+
+
+def _columns(
+    linear: LinearSystem, term: Term, of_courses: dict[tuple[object, ...], Floats]
+) -> Iterator[Floats]:
+    """Yield for each size of a term what a plausible one adds to the rows: (N, 3) by channel, or (N, 1).
+
+    A course acts at many stages: what it is in the readings is kept in `of_courses`.
+    """
+    if not term.course:
+        effect = term.effect("term", per_channel=term.stage in WITH_CHANNELS)
+        for size in SIZE_NAMES[: len(term.expressions)]:
+            value = np.full(3 if term.stage in WITH_CHANNELS else (), term.unit.plausible)
+            yield linear.formula_columns(AppliedEffect(effect, {size: value}))
+        return
+    for text in term.course:
+        key = (text, tuple((p.name, p.default) for p in term.constants))
+        if key not in of_courses:
+            of_courses[key] = _course(linear, text, term.constants)
+        course = term.unit.plausible * of_courses[key]
+        yield linear.course_columns(course, term.stage, term.adds_to, of_force=term.of_force)
+
+
+def _course(linear: LinearSystem, text: str, constants: tuple[Parameter, ...]) -> Floats:
+    """Return a course over the readings (n,), as a formula of the head's angle sees it."""
+    own = tuple(p for p in constants if p.name in names_in(text))
+    term = Term("", Stage.HEAD_ANGLE, (text,), ANGLE, constants=own)
+    applied = AppliedEffect(term.effect("course", per_channel=False), {SIZE_NAMES[0]: np.ones(())})
+    return applied.addition(Seen(linear.conditions.angle_rad, linear.conditions, linear.block))
+
+
+# --- terms ------------------------------------------------------------------------------------------
+
+
+def _terms(linear: LinearSystem) -> Iterator[Term]:
+    conditions = linear.readings.conditions()
+    courses = list(_courses(conditions))
+    for course in courses:
+        unit = BIAS_PER_K if course.of_temperature else BIAS
+        known = course.constants
+        yield Term(
+            f"{course.words}, in the bias",
+            Stage.BLOCK_OUTPUT,
+            course.expressions,
+            unit,
+            "",
+            known,
+            course.once,
+            course.expressions,
+        )
+        if course.long:
+            unit = SCALE_PER_K if course.of_temperature else SCALE
+            times = tuple(f"a * ({text})" for text in course.expressions)
+            words = f"{course.words}, in the scale factor"
+            yield Term(
+                words,
+                Stage.BLOCK_OUTPUT,
+                times,
+                unit,
+                "",
+                known,
+                course.once,
+                course.expressions,
+                of_force=True,
+            )
+        unit = ANGLE_PER_K if course.of_temperature else ANGLE
+        words = f"{course.words}, in the head's angle"
+        texts = course.expressions
+        yield Term(words, Stage.HEAD_ANGLE, texts, unit, "", known, course.once, texts)
+        for angle, what in () if course.local else STAND_WORDS.items():
+            words = f"{course.words}, in {what}"
+            yield Term(words, Stage.STAND, texts, unit, angle, known, course.once, texts)
+    for words, expressions in FORCES.items():
+        for text in expressions:
+            yield Term(words, Stage.BLOCK_OUTPUT, (text,), SQUARE)
+    if linear.readings.unit == "V":
+        yield from _of_voltmeters(courses)
+
+
+STAND_WORDS: Final = {
+    "axis_tilt": "a tilt of the axis",
+    "mounting_error": "a turn of the block on the platform",
+    "mounting_roll": "a roll of the block on the platform",
+}
+
+FORCES: Final[dict[str, tuple[str, ...]]] = {
+    "a square or product of the specific force": ("a**2", "aj**2", "ak**2", "a * aj", "a * ak", "aj * ak"),
+    "a third power of the specific force": ("a**3", "a**2 * aj", "a**2 * ak", "a * aj**2", "aj**3", "ak**3"),
+    "a fourth or fifth power of the specific force": ("a**4", "a**5"),
+    "the size of the specific force": ("abs(a)", "a * abs(a)", "abs(aj)", "abs(ak)"),
+    "a step at a level of the specific force": tuple(f"sign(a - ({level:g}))" for level in LEVELS),
+}
+
+
+def _of_voltmeters(courses: Sequence[Course]) -> Iterator[Term]:
+    stage = Stage.VOLTMETER_READING
+    for course in courses:
+        if course.long:
+            unit = VOLTS_PER_K if course.of_temperature else VOLTS
+            words = f"{course.words}, in the voltage"
+            texts = course.expressions
+            yield Term(words, stage, texts, unit, "", course.constants, course.once, texts)
+    for text in ("abs(U)", "abs(Ux)", "abs(Uy)", "abs(Uz)"):
+        yield Term("the size of a voltage", stage, (text,), GAIN)
+    yield Term("a power of the voltage", stage, ("U**2",), VOLTS_PER_V2)
+    yield Term("a power of the voltage", stage, ("U**3",), VOLTS_PER_V3)
+    low, below = "(abs(U) < low)", (_constant("low", "V", 1.0, LOW_RANGE_V),)
+    yield Term("voltages below 1.2 V", stage, (low,), VOLTS, constants=below)
+    yield Term("voltages below 1.2 V, in proportion", stage, (f"U * {low}",), GAIN, constants=below)
+
+
+def _constant(name: str, unit: str, si: float, value: float) -> Parameter:
+    """Return a shape that has one value, SI."""
+    return Parameter(name, unit, si, value, per_channel=False, grid=(value,), default=value)
+
+
+# --- courses ----------------------------------------------------------------------------------------
+
+
+def _courses(conditions: Conditions) -> Iterator[Course]:
+    """Yield the courses that can differ in these readings."""
+    yield from _of_angle(conditions)
+    yield from _of_turns(conditions)
+    yield from _of_time(conditions)
+    yield from _of_passes(conditions)
+    if np.ptp(conditions.warmth_k) > 0.0:
+        for lag in LAGS_MIN:
+            text = "lagged(temperature, lag)" if lag else "temperature"
+            behind = (_constant("lag", "min", MINUTE, lag * MINUTE),) if lag else ()
+            yield Course(
+                "the temperature, at once or with a lag", (text,), behind, of_temperature=True, long=True
+            )
+
+
+def _visits(conditions: Conditions) -> int:
+    angled = np.flatnonzero(np.isfinite(conditions.angle_rad))
+    mount = conditions.mount[angled]
+    return 1 + int(np.count_nonzero(np.diff(mount)))
+
+
+def _in_visit(number: int) -> str:
+    return f"(visit > {number - 0.5:g}) * (visit < {number + 0.5:g})"
+
+
+def _of_angle(conditions: Conditions) -> Iterator[Course]:
+    angle = conditions.angle_rad[np.isfinite(conditions.angle_rad)]
+    distinct = len(np.unique(np.round(np.degrees(angle) % 360.0, 1)))
+    visits = range(1, _visits(conditions) + 1) if _visits(conditions) > 1 else range(0)
+    for k in (0.5, *range(1, min(distinct // 2, 6) + 1)):
+        inside = "angle" if k == 1 else f"{k:g} * angle"
+        wave = (f"cos({inside})", f"sin({inside})")
+        yield Course(f"a wave, {k:g} per turn", wave)
+        for visit in visits:
+            yield Course(
+                f"a wave, {k:g} per turn, of one mounting",
+                tuple(f"{w} * {_in_visit(visit)}" for w in wave),
+                local=True,
+            )
+    yield Course("the angle of the head, unwound between passes", ("angle / (2 * pi)",))
+    for degrees in sorted(set(np.round(np.degrees(angle), 1).tolist())):
+        at = f"(abs(angle - {np.radians(degrees):.6g}) < 0.004)"
+        yield Course("one angle of the head", (at,), local=True)
+        for visit in visits:
+            yield Course(
+                "one angle of the head, of one mounting", (f"{at} * {_in_visit(visit)}",), local=True
+            )
+
+
+def _of_turns(conditions: Conditions) -> Iterator[Course]:
+    yield Course("the turn of the head since the block was mounted", ("turned / (2 * pi)",))
+    yield Course("the turn of the head since the start", ("wound / (2 * pi)",))
+    for turns in (0.25, 0.5, 1, 2):
+        yield Course(
+            "what fades as the head is turned", (f"exp(-travelled / ({2 * turns:g} * pi))",), long=True
+        )
+    if len(set(conditions.direction[np.isfinite(conditions.angle_rad)].tolist())) > 1:
+        yield Course("the direction of approach", ("direction",))
+        yield Course(
+            "the direction of approach, once per turn",
+            ("direction * cos(angle)", "direction * sin(angle)"),
+        )
+
+
+def _of_time(conditions: Conditions) -> Iterator[Course]:
+    time = conditions.elapsed_s
+    if np.ptp(time) <= 0.0:
+        return
+    span = (_constant("T", "s", 1.0, float(f"{np.ptp(time):.4g}")),)
+    yield Course("the time", ("time / T",), span, long=True)
+    yield Course("the time and its square", ("time / T", "(time / T)**2"), span, long=True)
+    for minutes in TIME_CONSTANTS_MIN:
+        tau = (_constant("tau", "min", MINUTE, minutes * MINUTE),)
+        yield Course("what fades with time", ("exp(-time / tau)",), tau, long=True)
+    for k in range(SLOWEST, FASTEST + 1):
+        yield Course("a slow wave in time", (f"cos({k:g} * pi * time / T)",), span)
+    for at in _between(time[np.isfinite(conditions.angle_rad)]):
+        when = (_constant("t", "s", 1.0, float(f"{at:.7g}")),)
+        yield Course("a step in time", ("(time > t)",), when, local=True, once=True)
+
+
+def _between(time_s: Floats) -> Floats:
+    """Return times between readings that follow one another."""
+    ordered = np.unique(time_s)
+    return (ordered[1:] + ordered[:-1]) / 2
+
+
+def _of_passes(conditions: Conditions) -> Iterator[Course]:
+    angled = np.isfinite(conditions.angle_rad)
+    passes = sorted(set(conditions.pass_number[angled].tolist()))
+    count = _visits(conditions)
+    for visit in range(1, count + 1) if count > 1 else range(0):
+        yield Course("one mounting", (_in_visit(visit),), long=True)
+    for number in passes if len(passes) > 1 else ():
+        alone = f"(pass_number > {number - 0.5:g}) * (pass_number < {number + 0.5:g})"
+        yield Course("one pass", (alone,), long=True, once=True)
+        for visit in range(1, count + 1) if count > 1 else range(0):
+            yield Course("one pass of one mounting", (f"{alone} * {_in_visit(visit)}",), long=True, once=True)

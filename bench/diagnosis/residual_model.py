@@ -1,0 +1,378 @@
+"""The residual model: terms with sizes, their predictions, unexplained variance and scatter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from scipy import special
+
+from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.diagnosis.candidates import Candidates
+from bench.diagnosis.linear import LinearSystem
+from bench.diagnosis.naming import Found
+from bench.diagnosis.posterior import NoiseSize, Posterior, noise_size, posterior, whiten_rows
+from bench.diagnosis.repeats import Repeats
+from bench.diagnosis.residual_dictionary import Dictionary, make_dictionary
+from bench.diagnosis.residual_search import (
+    Form,
+    FormFold,
+    Setting,
+    alike,
+    held_out,
+    search,
+    whitened_columns,
+)
+from bench.model.effects import AppliedEffect
+from bench.model.effects.formula import FormulaEffect
+
+BY_CHANCE: Final = 0.05
+"""What chance gives so often is stated as an upper limit and as no value; the limit holds in all but as many."""
+OF_SETTING: Final = 2
+"""Numbers by which a repeat of a setting tells of the noise: across the turn of the head."""
+
+
+@dataclass(frozen=True)
+class Dark:
+    """Scatter beyond that of the repeats (1 σ, unit of the signal), its u, the 95 % limit, the chance of it.
+
+    `u` and `upper` are infinite where there are no readings beside the repeats to tell.
+    """
+
+    value: float
+    u: float
+    upper: float
+    p: float
+
+    @classmethod
+    def of(cls, noise: NoiseSize, repeats: Repeats) -> Dark:
+        """Compare the noise beside all that was found with that of the repeats, which is a part of it (F test)."""
+        of_repeats = OF_SETTING * repeats.freedom
+        beyond = noise.freedom - of_repeats
+        all2, repeats2 = noise.reading**2, repeats.sigma**2
+        value = float(np.sqrt(max(all2 - repeats2, 0.0)))
+        if beyond <= 0:
+            return cls(value, np.inf, np.inf, 1.0)
+        lack = max(noise.freedom * all2 - of_repeats * repeats2, 0.0) / beyond / repeats2
+        # scatter that chance made small is no proof of less than the repeats can tell
+        largest = max(lack, 1.0) / float(special.fdtri(beyond, of_repeats, BY_CHANCE))
+        upper = float(np.sqrt(max(largest - 1.0, 0.0) * repeats2 * beyond / noise.freedom))
+        variance = 2 * all2**2 / noise.freedom + 2 * repeats2**2 * (1 / of_repeats - 2 / noise.freedom)
+        u = float(np.sqrt(variance)) / (2 * value) if value > 0.0 else float(np.sqrt(np.sqrt(variance)))
+        return cls(value, u, max(upper, value), float(special.fdtrc(beyond, of_repeats, lack)))
+
+    @property
+    def there(self) -> bool:
+        """Whether it is more than chance."""
+        return self.p < BY_CHANCE
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a result says of it."""
+        return {
+            "value": self.value if self.there else 0.0,
+            "u": self.u if self.there else None,
+            "upper_95": self.upper,
+            "p": self.p,
+        }
+
+
+SIGNIFICANT: Final = 1e-3
+"""Chance of so much scatter somewhere, all places counted, below which it is said."""
+LEAST_ROWS: Final = 4
+LARGER: Final = 1.5
+"""By how much the scatter must be larger than elsewhere to be worth a word."""
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Where readings scatter more: standard deviations there and elsewhere, unit of the signal."""
+
+    channel: str
+    where: str
+    sd: float
+    elsewhere: float
+    p: float
+
+    @property
+    def words(self) -> str:
+        """The place in words."""
+        return f"channel {self.channel}, {self.where}"
+
+
+def larger_scatter(linear: LinearSystem, left: Floats) -> Scatter | None:
+    """Return the place whose residuals `left` (N,) scatter most beyond the others, None where none does."""
+    places = list(_places(linear))
+    best: Scatter | None = None
+    oriented = linear.setting >= 0
+    for channel, where, rows in places:
+        others = oriented & ~rows
+        inside, outside = int(rows.sum()), int(others.sum())
+        if inside < LEAST_ROWS or outside < LEAST_ROWS:
+            continue
+        sd, elsewhere = (float(np.sqrt(np.mean(left[of] ** 2))) for of in (rows, others))
+        if sd <= LARGER * elsewhere:
+            continue
+        p = float(special.fdtrc(inside, outside, (sd / elsewhere) ** 2)) * len(places)
+        if p < SIGNIFICANT and (best is None or p < best.p):
+            best = Scatter(channel, where, sd, elsewhere, p)
+    return best
+
+
+def _places(linear: LinearSystem) -> Iterator[tuple[str, str, Mask]]:
+    rows, readings = linear.rows, linear.readings
+    oriented = linear.setting >= 0
+    label = readings.installation[rows.reading]
+    series = readings.series[rows.reading]
+    mounts = np.array([i if s == 1 else f"{i}/{s}" for s, i in zip(series, label, strict=True)])
+    passes = readings.pass_number[rows.reading]
+    for c, channel in enumerate(CHANNELS):
+        own = oriented & (rows.channel == c)
+        yield channel, "everywhere", own
+        for mount in dict.fromkeys(mounts[own].tolist()):
+            here = own & (mounts == mount)
+            yield channel, f"installation {mount}", here
+            for number in dict.fromkeys(passes[here].tolist()):
+                yield channel, f"installation {mount}, pass {number}", here & (passes == number)
+
+
+UNNAMED: Final = "unnamed_"
+"""How the name of an effect begins that has none yet."""
+LEAST_CLOSED: Final = 0.5
+"""A form goes into a model file where it closes so much of the gap on readings held out; settled beforehand."""
+
+
+@dataclass(frozen=True)
+class FormTerm:
+    """A term with its sizes and their u; `could_also_be` are families that describe it as well.
+
+    `p` is for this term alone, `rho` its size in units of noise.
+    """
+
+    applied: AppliedEffect
+    family: str
+    could_also_be: tuple[str, ...]
+    rho: float
+    p: float
+
+    @property
+    def effect(self) -> FormulaEffect:
+        """The term as an effect."""
+        assert isinstance(self.applied.effect, FormulaEffect)  # noqa: S101 - made so
+        return self.applied.effect
+
+    def sizes(self) -> list[tuple[str, str, float, float, str]]:
+        """Return parameter, channel ("" for all), value, u and unit of each size, in that unit."""
+        told = []
+        for p in self.effect.parameters:
+            if p.is_shape:
+                continue
+            value, u = self.applied.values[p.name], self.applied.u[p.name]
+            for channel in self.applied.channels if p.per_channel else ("",):
+                at = CHANNELS.index(channel) if channel else ()
+                told.append(
+                    (p.name, channel, float(value[at] / p.si_per_unit), float(u[at] / p.si_per_unit), p.unit)
+                )
+        return told
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a result says of it."""
+        effect = self.effect
+        return {
+            "name": effect.name,
+            "stage": effect.stage.value,
+            "adds_to": effect.adds_to or None,
+            "expression": effect.expression,
+            "constants": {
+                p.name: {"value": p.default / p.si_per_unit, "unit": p.unit}
+                for p in effect.parameters
+                if p.is_shape
+            },
+            "channels": list(self.applied.channels),
+            "sizes": [
+                {"parameter": name, "channel": channel or None, "value": value, "u": u, "unit": unit}
+                for name, channel, value, u, unit in self.sizes()
+            ],
+            "family": self.family,
+            "could_also_be": list(self.could_also_be),
+            "rho": self.rho,
+            "p": self.p,
+        }
+
+
+@dataclass(frozen=True)
+class FreeForm:
+    """What describes that which has no name.
+
+    `folds` hold readings out and search without them; `dark` is what the readings scatter beyond their repeats
+    with the terms: it has no form, and is an uncertainty. `scatter` says where it is larger.
+    `instead_of` are the named effects in whose place the terms stand: one or the other is there.
+    """
+
+    terms: tuple[FormTerm, ...]
+    folds: tuple[FormFold, ...]
+    dark: Dark
+    scatter: Scatter | None
+    unit: str
+    instead_of: tuple[str, ...] = ()
+
+    @property
+    def counted(self) -> tuple[FormFold, ...]:
+        """The parts held out without which the rest could have shown the terms."""
+        return tuple(fold for fold in self.folds if fold.counted)
+
+    @property
+    def before(self) -> float:
+        """Reduced chi-square of the readings held out that count, without the terms."""
+        return self._reduced([fold.before[1] for fold in self.counted])
+
+    @property
+    def after(self) -> float:
+        """The same with the terms that were found without them."""
+        return self._reduced([fold.after[1] for fold in self.counted])
+
+    @property
+    def closed(self) -> float | None:
+        """Part of the gap that the terms close on readings held out; None where there is no gap to close."""
+        return (self.before - self.after) / (self.before - 1.0) if self.before > 1.0 else None
+
+    @property
+    def predicts(self) -> bool:
+        """Whether the terms predict readings that they have not seen well enough for a model file."""
+        return bool(self.terms) and self.closed is not None and self.closed >= LEAST_CLOSED
+
+    @property
+    def applied(self) -> tuple[AppliedEffect, ...]:
+        """The terms with their values, for the model: none where names stand there or they do not predict."""
+        return tuple(term.applied for term in self.terms) if self.predicts and not self.instead_of else ()
+
+    def _reduced(self, chi2: Sequence[float]) -> float:
+        return sum(chi2) / max(sum(fold.count for fold in self.counted), 1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a result says of it."""
+        told = self.scatter
+        rms = [_rms([getattr(fold, when)[0] for fold in self.counted]) for when in ("before", "after")]
+        return {
+            "terms": [term.to_dict() for term in self.terms],
+            "instead_of": list(self.instead_of),
+            "gap": {
+                "before": self.before if self.counted else None,
+                "after": self.after if self.counted else None,
+                "floor": 1.0,
+                "closed": self.closed,
+                "before_rms": rms[0],
+                "after_rms": rms[1],
+                "unit": self.unit,
+                "held_out": [
+                    {
+                        "what": f.label,
+                        "counted": f.counted,
+                        "before": f.before[1] / f.count,
+                        "after": f.after[1] / f.count,
+                    }
+                    for f in self.folds
+                ],
+            },
+            "dark_uncertainty": self.dark.value if self.dark.there else 0.0,
+            "dark": self.dark.to_dict(),
+            "scatter": None
+            if told is None
+            else {
+                "channel": told.channel,
+                "where": told.where,
+                "sd": told.sd,
+                "elsewhere": told.elsewhere,
+                "p": told.p,
+            },
+            "unit": self.unit,
+        }
+
+
+def _rms(errors: Sequence[Floats]) -> float | None:
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) if errors else None
+
+
+def describe(linear: LinearSystem, given: Floats, repeats: Repeats, setting: Setting) -> FreeForm:
+    """Describe what has no name beside what has one: the columns `given` (N, m), one prior size each."""
+    dictionary = make_dictionary(linear, given)
+    count = given.shape[1]
+    whitened = whitened_columns(linear, dictionary.candidates, setting)
+    data = whitened.reduce(linear.response[:, None])
+    found = search(whitened, data, count, setting.limit)
+    columns = [*range(count), *(c for f in found for c in f.variant.columns)]
+    noise = noise_size(whitened, data, tuple(columns))
+    fitted = posterior(linear, dictionary.candidates.columns[:, columns], noise)
+    others = [alike(whitened, data, count, found, i) for i in range(len(found))]
+    once = any(dictionary.of(f.variant).once for f in found)
+    form = FreeForm(
+        terms=_terms(linear, dictionary, found, others, fitted, count),
+        folds=tuple(
+            held_out(linear, dictionary.candidates, _of(found, fitted, count), noise, setting, once=once)
+            if found
+            else ()
+        ),
+        dark=Dark.of(noise, repeats),
+        scatter=None,
+        unit=linear.readings.unit,
+    )
+    # terms that predict nothing follow the noise that is to be described
+    believed = tuple(columns if form.predicts else columns[:count])
+    noise = noise_size(whitened, data, believed)
+    return replace(
+        form,
+        dark=Dark.of(noise, repeats),
+        scatter=larger_scatter(linear, _left(linear, dictionary.candidates.columns[:, believed], noise)),
+    )
+
+
+def _of(found: list[Found], fitted: Posterior, given: int) -> Form:
+    """Return the terms with the sizes of their columns."""
+    ends = np.cumsum([len(f.variant.columns) for f in found])
+    return Form(given, found, np.split(fitted.amplitudes[given:], ends[:-1]))
+
+
+def _left(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats:
+    """Return what is left of the readings, the setting error taken out, unit of the signal, shape (N,)."""
+    fitted = posterior(linear, effects, noise)
+    left = linear.response - np.concatenate([linear.fixed, linear.random, effects], axis=1) @ fitted.mean
+    return noise.reading * whiten_rows(linear, noise, left[:, None], np.ones(len(linear), dtype=bool))[:, 0]
+
+
+def _terms(
+    linear: LinearSystem,
+    dictionary: Dictionary,
+    found: Sequence[Found],
+    others: Sequence[tuple[str, ...]],
+    fitted: Posterior,
+    given: int,
+) -> tuple[FormTerm, ...]:
+    taken = {applied.effect.name for applied in linear.model.effects}
+    names = (name for name in (f"{UNNAMED}{k}" for k in range(1, 1000)) if name not in taken)
+    u = np.sqrt(np.diag(fitted.amplitude_covariance))
+    terms = []
+    start = given
+    for one, also, name in zip(found, others, names, strict=False):
+        stop = start + len(one.variant.columns)
+        applied = _applied(dictionary, one, name, fitted.amplitudes[start:stop], u[start:stop])
+        p = float(special.chdtrc(stop - start, one.size**2))
+        terms.append(FormTerm(applied, one.variant.family, also, one.size, p))
+        start = stop
+    return tuple(terms)
+
+
+def _applied(dictionary: Dictionary, one: Found, name: str, value: Floats, u: Floats) -> AppliedEffect:
+    candidates: Candidates = dictionary.candidates
+    kinds = [candidates.kinds[column] for column in one.variant.columns]
+    per_channel = kinds[0].channel is not None
+    effect = dictionary.of(one.variant).effect(name, per_channel=per_channel)
+    values: dict[str, Floats] = {p.name: np.asarray(p.default) for p in effect.parameters if p.is_shape}
+    sizes: dict[str, Floats] = {}
+    for place, (column, kind) in enumerate(zip(one.variant.columns, kinds, strict=True)):
+        at = () if kind.channel is None else kind.channel
+        for numbers, number in ((values, value[place]), (sizes, u[place])):
+            numbers.setdefault(kind.parameter, np.zeros(() if kind.channel is None else 3))
+            numbers[kind.parameter][at] = number * candidates.scale[column]
+    channels = tuple(CHANNELS[c] for c in one.variant.channels)
+    return AppliedEffect(effect, values, channels, sizes)

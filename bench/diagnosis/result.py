@@ -1,0 +1,354 @@
+"""What is found out about one body of readings; what was settled before they were scored."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from bench.base.arrays import CHANNELS, Floats
+from bench.diagnosis import (
+    candidates,
+    evidence,
+    gap,
+    naming,
+    noise_grid,
+    residual_model,
+    residual_search,
+    threshold,
+    visibility,
+    where,
+)
+from bench.diagnosis.candidates import Candidates, in_volts
+from bench.diagnosis.evidence import Data, Whitened
+from bench.diagnosis.gap import Gap, folds_of, thirds_of
+from bench.diagnosis.linear import LinearSystem
+from bench.diagnosis.mistakes.search import Mistake, MistakeSearch
+from bench.diagnosis.naming import Naming
+from bench.diagnosis.noise_kinds import NoiseFinding, NoiseKind
+from bench.diagnosis.posterior import KnownTogether, NoiseSize, Posterior
+from bench.diagnosis.residual_model import FreeForm
+from bench.diagnosis.visibility import Smallest
+from bench.diagnosis.weighing import WeighedDown
+from bench.diagnosis.where import Place
+from bench.model.conditions import REFERENCE_C, REMOUNT_S, SETTING_S
+from bench.model.effects import CATALOGUE, AppliedEffect, Effect
+from bench.model.effects.expression import names_in
+from bench.model.effects.formula import FormulaEffect
+
+
+@dataclass(frozen=True)
+class Registration:
+    """What was settled; `sha256` is of all of it, the catalogue and the weights of the sizes.
+
+    Priors, threshold, limits of a tie, what is held out (`held_out_else` where that measures nothing), and by how
+    much the gap must shrink on it.
+    """
+
+    sha256: str
+    unnamed: tuple[str, ...]
+    sizes: tuple[float, ...]
+    noise_ratios: tuple[float, ...]
+    noise_ratio_spread: float
+    threshold: float
+    false_alarms: float
+    tie_leak: float
+    tie_evidence: float
+    tie_absurd: float
+    tie_least_explained: float
+    pair_margin: float
+    most_effects: int
+    hidden_beyond: float
+    significance_where: float
+    gap_least_fall: float
+    gap_least_closed: float
+    gap_by_chance: float
+    held_out: tuple[str, ...]
+    held_out_else: tuple[str, ...]
+
+
+def register(linear: LinearSystem, limit: threshold.Threshold) -> Registration:
+    """Return what is settled for these readings, with its hash."""
+    settled = Registration(
+        sha256="",
+        unnamed=candidates.UNNAMED,
+        sizes=evidence.SIZES,
+        noise_ratios=noise_grid.RATIOS,
+        noise_ratio_spread=noise_grid.RATIO_SPREAD,
+        threshold=round(limit.value, 9),
+        false_alarms=limit.probability,
+        tie_leak=naming.LEAK,
+        tie_evidence=naming.LESS_PLAUSIBLE,
+        tie_absurd=naming.ABSURD,
+        tie_least_explained=naming.LEAST_EXPLAINED,
+        pair_margin=naming.PAIR_MARGIN,
+        most_effects=naming.MOST_EFFECTS,
+        hidden_beyond=visibility.BEYOND_BELIEF,
+        significance_where=where.SIGNIFICANT,
+        gap_least_fall=gap.LEAST_FALL,
+        gap_least_closed=gap.LEAST_CLOSED,
+        gap_by_chance=gap.BY_CHANCE,
+        held_out=tuple(label for label, _ in folds_of(linear)),
+        held_out_else=tuple(label for label, _ in thirds_of(linear)),
+    )
+    hashed = asdict(settled) | {
+        "catalogue": {name: [asdict(p) for p in effect.parameters] for name, effect in CATALOGUE.items()},
+        "size_weights": [round(w, 12) for w in evidence.LOG_SIZE_WEIGHTS],
+    }
+    if limit.slip is not None:
+        hashed["slip"] = [threshold.OF_SLIPS, round(limit.slip.value, 9)]
+    if threshold.formulas():
+        hashed["formulas"] = threshold.formulas()
+    hashed["form"] = [
+        residual_search.MOST_TERMS,
+        residual_model.LEAST_CLOSED,
+        residual_model.SIGNIFICANT,
+        residual_model.LARGER,
+    ]
+    del hashed["sha256"]
+    text = json.dumps(hashed, sort_keys=True)
+    return replace(settled, sha256=hashlib.sha256(text.encode()).hexdigest())
+
+
+Verdict = Literal["agrees", "mistake", "named", "confounded", "unknown"]
+
+UNNAMED_WORDS: Mapping[str, str] = {
+    "free_by_angle": "something that depends on the angle of the head, the same in every pass",
+    "free_head_angle": "an error of the head's angle, the same in every pass and installation",
+    "free_by_pass": "something that differs from pass to pass",
+    "slow_in_time": "something that changes slowly with time",
+    "step": "a step of the signal",
+    "single_reading": "a single reading that stands apart",
+    "single_setting": "the angle of a single setting",
+    "zeros_by_run": "the zeros change from run to run; the readings do not say why",
+    "scale_by_run": "the scale factors change from run to run; the readings do not say why",
+    "unnamed_form": "something without a name, of another form",
+    "lack_of_fit": (
+        "the readings differ from the model by more than their repeats, in no pattern that was looked for"
+    ),
+}
+
+
+@dataclass(frozen=True)
+class EffectValue:
+    """A parameter as estimated, in the catalogue's unit. Of a shape `u` is None: it was tried, not estimated.
+
+    `channel` is empty where it is of all, `installations` where the effect has one set of values.
+    """
+
+    parameter: str
+    channel: str
+    installations: str
+    value: float
+    u: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """An effect that was found, with its parameters as estimated.
+
+    `aliases` are the other periods a turn of the head that would look the same at the angles measured.
+    `applied` is empty for what has no name, else one entry for each set of mountings with values of its own.
+    `together` are sums or differences of values that the readings tell where they hardly tell the values.
+    `p` is for this effect alone, `p_all_looks` counts everything that was looked at; `rho` is its size in
+    units of noise, None for a lack of fit, which was not looked for.
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    installations: tuple[str, ...]
+    cannot_tell_from: tuple[str, ...]
+    plainer_than: tuple[str, ...]
+    parameters: tuple[EffectValue, ...]
+    p: float
+    p_all_looks: float
+    rho: float | None
+    words: str
+    applied: tuple[AppliedEffect, ...] = ()
+    together: tuple[KnownTogether, ...] = ()
+    aliases: tuple[int, ...] = ()
+
+    @property
+    def in_catalogue(self) -> bool:
+        """Whether it has a name."""
+        return self.name in CATALOGUE
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "name": self.name,
+            "channels": list(self.channels),
+            "installations": list(self.installations),
+            "cannot_tell_from": list(self.cannot_tell_from),
+            "plainer_than": list(self.plainer_than),
+            "parameters": nested(self.parameters),
+            "together": [asdict(one) for one in self.together],
+            "shape_held": any(one.u is None for one in self.parameters),
+            "p": self.p,
+            "p_all_looks": self.p_all_looks,
+            "rho": self.rho,
+            "aliases": list(self.aliases),
+            "words": self.words,
+        }
+
+
+def nested(values: Sequence[EffectValue]) -> dict[str, Any]:
+    """Return values by installations, parameter and channel, each level where there is one."""
+    tree: dict[str, Any] = {}
+    for one in values:
+        levels = [key for key in (one.installations, one.parameter, one.channel) if key]
+        branch = tree
+        for key in levels[:-1]:
+            branch = branch.setdefault(key, {})
+        u = {} if one.u is None else {"u": one.u}
+        branch[levels[-1]] = {"value": one.value, **u, "unit": one.unit}
+    return tree
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All that was found out about one body of readings.
+
+    `of_copy` is the verdict on the copy in which mistakes are put right, where there are any, and the same as
+    `verdict` where not. `hidden` are effects that the readings could never show, with their parts where it is true
+    of some; `absent` effects of what the bench has not, with the reason; `unseen_per_turn` how often a turn an
+    error of the head would have to repeat to show nowhere at the angles measured; `detectable` the sizes, in
+    plausible sizes, that are found in half of all runs, `smallest` of effects with several in whatever
+    direction. `linear`, `candidates`, `naming`, `fitted` and `noise` are what plots and report are drawn from;
+    `whitened` and `data` are those in which it was found;
+    `in_part` what the effects may have of other shapes, which is in the coefficients' u, `left_open` what the
+    readings left of it, for a model file; `findings` where noise is
+    larger than stated, `noise_kinds` in what it is no normal noise of one size; `weighed` what
+    readings were weighed down by.
+    """
+
+    verdict: Verdict
+    of_copy: Verdict
+    where: tuple[Place, ...]
+    mistakes: MistakeSearch
+    effects: tuple[NamedEffect, ...]
+    hidden: Mapping[str, tuple[str, ...]]
+    absent: Mapping[str, str]
+    unseen_per_turn: tuple[int, ...]
+    detectable: Mapping[str, float]
+    smallest: Mapping[str, tuple[Smallest, ...]]
+    gap: Gap
+    registered: Registration
+    linear: LinearSystem
+    candidates: Candidates
+    naming: Naming
+    fitted: Posterior
+    in_part: tuple[AppliedEffect, ...]
+    left_open: tuple[AppliedEffect, ...]
+    noise: NoiseSize
+    p_left: float
+    whitened: Whitened
+    data: Data
+    form: FreeForm | None = None
+    findings: tuple[NoiseFinding, ...] = ()
+    noise_kinds: tuple[NoiseKind, ...] = ()
+    notes: tuple[str, ...] = ()
+    weighed: WeighedDown | None = None
+
+    @property
+    def applied(self) -> tuple[AppliedEffect, ...]:
+        """The named effects with their values, and the terms of what has no name, to be added to the model."""
+        of_form = self.form.applied if self.form is not None else ()
+        return (*(a for e in self.effects for a in e.applied), *of_form)
+
+    @property
+    def noise_by_channel(self) -> Floats:
+        """Noise of a reading of x, y, z, unit of the signal."""
+        return self.noise.reading * self.linear.by_channel
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the promised result; who proposes a measurement or writes a model file puts them in."""
+        return {
+            "verdict": self.verdict,
+            "where": [asdict(place) for place in self.where],
+            "effects": [
+                *(mistake_to_dict(mistake) for mistake in self.mistakes.mistakes),
+                *(effect.to_dict() for effect in self.effects),
+            ],
+            "next_measurement": None,
+            "hidden": list(self.hidden),
+            "hidden_parts": {name: list(parts) for name, parts in self.hidden.items() if parts},
+            "absent": dict(self.absent),
+            "unseen_per_turn": list(self.unseen_per_turn),
+            "verification_orientation": None
+            if self.linear.orientation is None
+            else self.linear.orientation.to_dict(),
+            "gap": self.gap.to_dict(),
+            "model": None,
+            "noise": {
+                "reading": self.noise.reading,
+                "setting_arcsec": self.noise.setting_arcsec,
+                "dof": self.noise.freedom,
+                "channels": dict(zip(CHANNELS, self.noise_by_channel.tolist(), strict=True)),
+                "kinds": [asdict(kind) for kind in self.noise_kinds],
+                "findings": [finding.to_dict() for finding in self.findings],
+            },
+            "p_left": self.p_left,
+            "form": None if self.form is None else self.form.to_dict(),
+            "detectable": dict(self.detectable),
+            "registered": asdict(self.registered),
+            "notes": list(self.notes),
+        }
+
+
+def mistake_to_dict(mistake: Mistake) -> dict[str, Any]:
+    """Return the promised form of a mistake."""
+    return {
+        "name": mistake.name,
+        "channels": list(mistake.channels),
+        "cannot_tell_from": list(mistake.cannot_tell_from),
+        "installations": list(mistake.installations),
+        "parameters": {
+            "pass": mistake.pass_number,
+            "point": mistake.point,
+            "misfit_before": mistake.evidence.before,
+            "misfit_after": mistake.evidence.after,
+        },
+        "p": mistake.p,
+        "p_all_looks": mistake.p,
+        "words": mistake.words,
+    }
+
+
+OF_TEMPERATURE = ("thermal_bias", "thermal_scale")
+
+
+def at_reference(found: Iterable[Effect]) -> Iterator[str]:
+    """Yield at which temperature the coefficients are those that are told, where effects of it are beside them."""
+    names = [effect.name for effect in found if _of_temperature(effect)]
+    if names:
+        yield f"the coefficients are those at {REFERENCE_C:g} °C, from which {' and '.join(names)} counts"
+
+
+def _of_temperature(effect: Effect) -> bool:
+    return effect.name in OF_TEMPERATURE or (
+        isinstance(effect, FormulaEffect) and "temperature" in names_in(effect.expression)
+    )
+
+
+def assumed(linear: LinearSystem) -> Iterator[str]:
+    """Yield sentences on what the readings do not say, or say otherwise than the bench file."""
+    readings = linear.readings
+    yield from (f"not looked for: {trouble}" for trouble in CATALOGUE.troubles)
+    if linear.orientation is not None and linear.orientation.contradicts:
+        yield linear.orientation.in_words()
+    if not np.isfinite(readings.time_s).any():
+        yield (
+            f"no times in the readings: {SETTING_S / 60:g} min a setting and {REMOUNT_S / 60:g} min for a remount "
+            "are taken, and every rate and time constant rests on that"
+        )
+    if not np.isfinite(readings.temperature_c).any():
+        yield f"no temperatures in the readings: {' and '.join(OF_TEMPERATURE)} cannot be looked for"
+    if readings.unit != "V":
+        names = ", ".join(name for name, effect in CATALOGUE.items() if in_volts(effect))
+        yield f"signals in {readings.unit} are not voltages: effects stated in volts are not looked for ({names})"

@@ -1,0 +1,320 @@
+"""Simulation beside bench: the readings made again by the model before and after, and tested afresh."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.base.arrays import CHANNELS, Floats
+from bench.calibration import Calibration, LackOfFit, calibrate, gls
+from bench.calibration.calibrate import first_guess, usable_rows
+from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
+from bench.calibration.noise import repeat_groups, whiten
+from bench.model import STAND_ANGLES, AppliedEffect, Block, ForwardModel
+from bench.model.block import COEFFICIENTS
+from bench.readings.table import FREE, VERIFICATION, Readings
+
+SEED: Final = 1
+"""Seed of the noise of the simulated readings."""
+
+HARDLY_TOLD: Final = 0.5
+"""An effect that is left with more than this part of its weak prior is not told by the settings."""
+
+CONTRADICTED: Final = 4.0
+"""A stated value that readings leave by so many u is not that of their block: chance 6e-5."""
+
+MOST_ROUNDS: Final = 30
+STANDS_STILL_G: Final = 1e-12
+
+
+@dataclass(frozen=True)
+class ModulusPoint:
+    """Error of the modulus at a verification point, g, with its standard uncertainty."""
+
+    angle_deg: float
+    pass_number: int
+    point: int
+    delta_g: float
+    u: float
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A model fitted to readings and run again at the same angles, times and temperatures.
+
+    `calibration` has the estimates and `test` compares the readings with the simulated bench without noise;
+    `repeated` is the same calibration of one noisy simulation (seed `SEED`). `effects` are the model's with
+    the values estimated here and their u. `points` are the verification points by this model, which has
+    seen none of them unless `joined`: then some effect shows nowhere else.
+    """
+
+    model: ForwardModel
+    calibration: Calibration
+    test: LackOfFit
+    repeated: Calibration
+    effects: tuple[AppliedEffect, ...]
+    points: tuple[ModulusPoint, ...]
+    joined: bool
+
+    @property
+    def tested(self) -> bool:
+        """Whether there are repeats enough to test the readings beside it."""
+        return bool(np.isfinite(self.test.p))
+
+    @property
+    def worst_g(self) -> float | None:
+        """The largest |delta_g| of the verification points; None where there is none."""
+        return max((abs(p.delta_g) for p in self.points if np.isfinite(p.delta_g)), default=None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the test and the modulus at the verification points."""
+        return {
+            "chi2": self.test.chi2,
+            "dof": self.test.dof,
+            "p": self.test.p,
+            "rms": self.test.rms,
+            "rms_of_a_simulated_run": self.repeated.lack_of_fit.rms,
+            "seed": SEED,
+            "verification_joined": self.joined,
+            "delta_g": [
+                {
+                    "angle_deg": p.angle_deg,
+                    "pass": p.pass_number,
+                    "point": p.point,
+                    "delta_g": p.delta_g,
+                    "u": p.u,
+                }
+                for p in self.points
+            ],
+        }
+
+
+@dataclass(frozen=True)
+class CoefficientChange:
+    """A coefficient with its u by the model before and after."""
+
+    before: float
+    u_before: float
+    after: float
+    u_after: float
+
+    @property
+    def in_u(self) -> float:
+        """The change in units of u before; 0 where there is no u."""
+        return (self.after - self.before) / self.u_before if self.u_before else 0.0
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The model that was given, and the one with what was found; None where nothing was named."""
+
+    before: Simulation
+    after: Simulation | None
+
+    @property
+    def last(self) -> Simulation:
+        """The best there is: the model with what was found, else the one that was given."""
+        return self.after or self.before
+
+    @property
+    def coefficients(self) -> dict[str, CoefficientChange]:
+        """The twelve coefficients as `calibrate` states them."""
+        before, after = self.before.calibration, self.last.calibration
+        columns = np.stack([before.block.vector, before.u, after.block.vector, after.u], axis=1).tolist()
+        return {name: CoefficientChange(*row) for name, row in zip(COEFFICIENTS, columns, strict=True)}
+
+
+def show(
+    readings: Readings,
+    model: ForwardModel,
+    added: tuple[AppliedEffect, ...],
+    stand_u: Mapping[str, float],
+    g_m_s2: float,
+    in_part: tuple[AppliedEffect, ...] = (),
+) -> Shown:
+    """Simulate the bench of `readings` with the model and with the `added` effects.
+
+    `readings` are those with any mistake put right; `stand_u` as for `diagnose`. What was found in these
+    readings is estimated from them anew, without the u that they gave it; what it may have of other shapes,
+    `in_part`, has its prior. Raises `CalibrationError` where
+    they do not determine the coefficients.
+    """
+    stand = {name: u for name, u in stand_u.items() if name != "setting_error"}
+    before = _simulate(readings, model, stand, g_m_s2)
+    if not added:
+        return Shown(before, None)
+    fresh = tuple(replace(one, u={}) for one in added)
+    names = " + ".join(dict.fromkeys(label(one) for one in added))
+    extended = replace(model, effects=(*model.effects, *fresh, *in_part), name=f"{model.name} + {names}")
+    return Shown(before, _simulate(readings, extended, stand, g_m_s2))
+
+
+def label(applied: AppliedEffect) -> str:
+    """Return an effect with its channels, where it has such: "quadratic_nonlinearity[y]"."""
+    of_channels = any(parameter.per_channel for parameter in applied.effect.parameters)
+    return applied.effect.name + (f"[{''.join(applied.channels)}]" if of_channels else "")
+
+
+def contradicted(stated: Sequence[AppliedEffect], estimated: Sequence[AppliedEffect]) -> Iterator[str]:
+    """Yield a sentence for each value of a model that readings contradict by `CONTRADICTED` u or more.
+
+    `stated` are the effects of the model with their u, `estimated` the same effects with these readings added.
+    What they tell apart from the statement is the more, by the difference of the two variances.
+    """
+    for one, now in zip(stated, estimated, strict=True):
+        for parameter in one.effect.parameters:
+            if parameter.name not in one.u:
+                continue
+            value, u, new, u_new = (
+                np.atleast_1d(source[parameter.name]) / parameter.si_per_unit
+                for source in (one.values, one.u, now.values, now.u)
+            )
+            for i in np.flatnonzero((u > 0.0) & (u_new < u)):
+                pull = abs(new[i] - value[i]) / np.sqrt(u[i] ** 2 - u_new[i] ** 2)
+                if pull >= CONTRADICTED:
+                    of = f" of {CHANNELS[i]}" if parameter.per_channel else ""
+                    yield (
+                        f"the model states {parameter.name}{of} of {one.effect.name} as {value[i]:.3g} with u "
+                        f"{u[i]:.2g} {parameter.unit}; these readings contradict it by {pull:.1f} u: diagnose them "
+                        "without this model"
+                    )
+
+
+def _simulate(
+    readings: Readings, model: ForwardModel, stand_u: Mapping[str, float], g_m_s2: float
+) -> Simulation:
+    problem, fit = _fitted(readings, model, stand_u, join_verification=False)
+    joined = len(readings.verification()) > 0 and _hardly_told(problem, fit)
+    if joined:
+        problem, fit = _fitted(readings, model, stand_u, join_verification=True)
+    rows = usable_rows(readings, model)
+    effects = tuple(
+        replace(applied, u=_u_of(index, problem, fit))
+        for index, applied in enumerate(problem.effects_at(fit.others))
+    )
+    bench = replace(model, effects=effects)
+    stand = problem.stand_matrix(fit.others)
+    still = bench.readings(fit.block, problem.conditions, stand)
+    noisy = replace(rows, signal=_noisy(bench, problem, fit, stand))
+    weak = replace(model, effects=tuple(replace(a, u={}) for a in effects))
+    return Simulation(
+        model=bench,
+        calibration=calibrate(readings, model, stand_u, g_m_s2, join_verification=joined),
+        test=_test(problem, fit, rows.signal - still),
+        # its noise is fresh in every reading: nothing that repeats share is there to be found
+        repeated=calibrate(noisy, weak, stand_u, g_m_s2, find_shared=False),
+        effects=effects,
+        points=_points(readings, problem, fit),
+        joined=joined,
+    )
+
+
+def _fitted(
+    readings: Readings, model: ForwardModel, stand_u: Mapping[str, float], *, join_verification: bool
+) -> tuple[Problem, gls.Fit]:
+    """Fit as `calibrate` does, and keep all estimates with their joint covariance."""
+    rows = usable_rows(readings, model)
+    labels = [FREE, VERIFICATION] if join_verification else [FREE]
+    chosen = np.isin(readings.installation, labels)
+    free = _modulus_rows(readings, chosen) if chosen.any() else None
+    problem = make_problem(model, rows.conditions(), stand_u, free)
+    start = first_guess(problem, rows.signal, rows.resolution)
+    # the null model of a diagnosis has one size for all channels, as its thresholds have
+    return problem, gls.fit(problem, rows.signal, start, None, rows.resolution, one_size=True)
+
+
+def _modulus_rows(readings: Readings, chosen: NDArray[np.bool_]) -> FreeRows:
+    """Return rows of which the modulus alone is known, times and temperatures as the whole table has them."""
+    whole, own = readings.conditions(), readings.select(chosen).conditions()
+    warmth = whole.warmth_k[chosen] + whole.reference_c
+    conditions = replace(own, time_s=whole.elapsed_s[chosen], temperature_c=warmth, began_s=None)
+    return FreeRows(readings.signal[chosen], conditions)
+
+
+def _hardly_told(problem: Problem, fit: gls.Fit) -> bool:
+    """Whether the settings leave a parameter that nobody stated about as uncertain as it was."""
+    u = np.sqrt(np.diag(fit.covariance))[FIXED + len(problem.stand) :]
+    return any(
+        own > HARDLY_TOLD * unknown.prior_u and not unknown.stated
+        for own, unknown in zip(u, problem.effects, strict=True)
+    )
+
+
+def _u_of(index: int, problem: Problem, fit: gls.Fit) -> dict[str, Floats]:
+    """Return standard uncertainties of the parameters of one effect, SI."""
+    u: dict[str, Floats] = {}
+    sizes = np.sqrt(np.diag(fit.covariance))[FIXED + len(problem.stand) :]
+    for unknown, size in zip(problem.effects, sizes, strict=True):
+        if unknown.effect == index:
+            of = u.setdefault(unknown.parameter, np.zeros(() if unknown.channel is None else 3))
+            of[() if unknown.channel is None else unknown.channel] = size
+    return u
+
+
+def _noisy(bench: ForwardModel, problem: Problem, fit: gls.Fit, stand: Floats) -> Floats:
+    """Return simulated readings (n, 3) with noise and setting errors as large as those found."""
+    rng = np.random.default_rng(SEED)
+    n = len(problem.conditions)
+    setting = fit.noise.setting_rad * rng.standard_normal(n)
+    signal = bench.readings(fit.block, problem.conditions, stand, setting)
+    return signal + fit.noise.by_channel * rng.standard_normal((n, 3))
+
+
+def _test(problem: Problem, fit: gls.Fit, left: Floats) -> LackOfFit:
+    """Compare what the simulation leaves of the readings (n, 3) with the scatter of their repeats."""
+    slope = problem.slope(fit.block, fit.others)
+    pulls = (fit.others - problem.prior_mean) / problem.prior_u
+    misfit = float(np.sum(whiten(left[:, :, None], slope, fit.noise) ** 2) + np.sum(pulls**2))
+    unknowns = FIXED + sum(not e.stated for e in problem.effects)
+    return gls.misfit_test(misfit, left, slope, fit.noise, repeat_groups(problem.conditions), unknowns)
+
+
+# --- verification points ----------------------------------------------------------------------------
+
+
+def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[ModulusPoint, ...]:
+    """Return |a| - 1 at the verification points by a model with effects, u from all that was estimated."""
+    chosen = readings.installation == VERIFICATION
+    rows = readings.select(chosen)
+    if not len(rows):
+        return ()
+    start = np.concatenate([fit.block.vector, fit.others])
+    conditions = readings.conditions()
+    stand = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
+    # rows of no known force have at the inputs what was read: effects may look back at them
+    unknown = ~np.isin(readings.installation, [VERIFICATION, *problem.model.installations])
+    voltage_v = np.where(unknown[:, None], readings.signal, np.nan)
+
+    def modulus(unknowns: Floats) -> tuple[Floats, Floats]:
+        block = Block.from_vector(unknowns[:FIXED])
+        model = replace(problem.model, effects=problem.effects_at(unknowns[FIXED:]))
+        force = np.full((len(readings), 3), np.nan)
+        force[chosen] = block.specific_force(rows.signal)
+        for _ in range(MOST_ROUNDS if model.effects else 1):
+            predicted = model.readings_in_order(block, conditions, stand, force=force, voltage_v=voltage_v)
+            step = np.linalg.solve(block.K, (rows.signal - predicted[chosen]).T).T
+            force[chosen] += step
+            if np.max(np.abs(step)) < STANDS_STILL_G:
+                break
+        return force[chosen], np.linalg.norm(force[chosen], axis=1)
+
+    force, size = modulus(start)
+    steps = np.full(len(start), 1e-4 * float(np.max(np.abs(fit.block.K))))
+    steps[FIXED:] = [problem.other_step(j)[j] for j in range(len(fit.others))]
+    columns = np.zeros((len(rows), len(start)))  # a modulus depends on no angle of the stand
+    for j in [*range(FIXED), *range(FIXED + len(problem.stand), len(start))]:
+        change = steps * (np.arange(len(start)) == j)
+        columns[:, j] = (modulus(start + change)[1] - modulus(start - change)[1]) / (2 * steps[j])
+    by_signal = (force / size[:, None]) @ np.linalg.inv(fit.block.K)
+    variance = np.einsum("mp,pq,mq->m", columns, fit.covariance, columns)
+    variance += np.sum((by_signal * fit.noise.by_channel) ** 2, axis=1)
+    return tuple(
+        ModulusPoint(float(np.degrees(angle)), int(number), int(point), float(g - 1.0), float(np.sqrt(v)))
+        for angle, number, point, g, v in zip(
+            rows.angle_rad, rows.pass_number, rows.point, size, variance, strict=True
+        )
+    )

@@ -1,0 +1,288 @@
+"""What readings could never show, and how far two explanations of them lie apart."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from bench.base.arrays import Floats
+from bench.diagnosis.candidates import ROUND, Candidates, Variant, plausible_columns
+from bench.diagnosis.evidence import KNOWN_SIZE, Search, Whitened
+from bench.diagnosis.linear import LinearSystem
+from bench.diagnosis.posterior import NoiseSize, whiten_rows
+from bench.diagnosis.threshold import Threshold
+from bench.model.effects import CATALOGUE, AppliedEffect, Parameter
+from bench.readings.table import VERIFICATION
+
+BEYOND_BELIEF: Final = 30.0
+"""An effect that would have to be so many plausible sizes large to be found is hidden."""
+
+
+def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, float]:
+    """Return for each effect the size, in plausible sizes, that is found in half of all runs (infinite: never).
+
+    Of the forms that an effect may have, the one that shows best.
+    """
+    variants = whitened.candidates.variants
+    half = half_power(whitened, threshold)
+    best = dict.fromkeys(CATALOGUE, 0.0)
+    for group in Search.beside(whitened, ()).groups:
+        largest = np.sqrt(group.values[ratio].max(axis=1))
+        for number, seen in zip(group.members.tolist(), largest.tolist(), strict=True):
+            if variants[number].named:
+                best[variants[number].family] = max(best[variants[number].family], seen)
+    return {name: half / seen if seen > NOTHING_SEEN else float("inf") for name, seen in best.items()}
+
+
+@dataclass(frozen=True)
+class Smallest:
+    """The size that is found in half of all runs, whatever direction it has among parameters of one unit.
+
+    `size` is their norm, in the unit of the catalogue. `part` says that it is that of the directions which show:
+    another, beyond belief large, would not.
+    """
+
+    parameters: tuple[str, ...]
+    size: float
+    unit: str
+    part: bool = False
+
+
+def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, tuple[Smallest, ...]]:
+    """Return for each effect with several sizes what `detectable` says of one with one, a size for each unit.
+
+    Of channels, mountings and shapes that it may have those that show best; of the directions among its parameters
+    (the phases of a wave) the one that shows worst.
+    """
+    half = half_power(whitened, threshold)
+    best: dict[tuple[str, str], Smallest] = {}
+    for variant in whitened.candidates.variants:
+        sized = [p for p in CATALOGUE[variant.family].parameters if not p.is_shape] if variant.named else []
+        if len(sized) < 2:
+            continue
+        kinds = [(whitened.candidates.kinds[column], column) for column in variant.columns]
+        for unit in dict.fromkeys(p.unit for p in sized):
+            of = {p.name: p for p in sized if p.unit == unit}
+            for cell in {(kind.channel, kind.mounts) for kind, _ in kinds}:
+                own = {
+                    k.parameter: i for k, i in kinds if (k.channel, k.mounts) == cell and k.parameter in of
+                }
+                if len(own) < len(of):
+                    continue
+                gram = whitened.among(ratio, list(own.values()))
+                one = _smallest_of(gram, own, of, half)
+                known = best.get((variant.family, unit))
+                if one is not None and (known is None or (one.part, one.size) < (known.part, known.size)):
+                    best[variant.family, unit] = one
+    found: dict[str, tuple[Smallest, ...]] = {}
+    for (name, _), one in best.items():
+        found[name] = (*found.get(name, ()), one)
+    return found
+
+
+def _smallest_of(
+    gram: Floats, own: Collection[str], of: Mapping[str, Parameter], half: float
+) -> Smallest | None:
+    scale = np.array([of[name].plausible / of[name].si_per_unit for name in own])
+    shows, directions = np.linalg.eigh(gram / np.outer(scale, scale))
+    # in plausible sizes, so that a direction beyond belief is one in every unit
+    reach = half / np.sqrt(np.maximum(shows, 1e-300))
+    beyond = reach * np.linalg.norm(directions / scale[:, None], axis=0) > BEYOND_BELIEF
+    if np.all(beyond):
+        return None
+    return Smallest(tuple(own), float(reach[~beyond].max()), next(iter(of.values())).unit, bool(beyond.any()))
+
+
+NOTHING_SEEN: Final = 1e-6
+"""In units of noise, for a plausible size: rounding, no signal."""
+
+
+def half_power(whitened: Whitened, threshold: Threshold) -> float:
+    """Return the size (rho, units of noise) of an effect of one parameter that is found in half of all runs.
+
+    There ln of its evidence, about rho^2/2 less its price, equals the threshold; the price of one
+    parameter and of the forms and families looked at is taken from their number.
+    """
+    candidates = whitened.candidates
+    looks = np.log(len(candidates.families)) + 1.5
+    return float(np.sqrt(2.0 * max(threshold.value + looks + 2.0, 1.0)))
+
+
+def hidden(
+    whitened: Whitened, threshold: Threshold, ratio: int, sizes: Mapping[str, float]
+) -> dict[str, tuple[str, ...]]:
+    """Return the effects that these readings could never show, in the order of the catalogue.
+
+    With each stand the parts of which that is true, none named where it is all of them: an effect whose wave
+    they show in one phase and never in the other is among them. `sizes` come from `detectable`.
+    """
+    parts = _hidden_parts(whitened, half_power(whitened, threshold), ratio)
+    unseen: dict[str, tuple[str, ...]] = {}
+    for name in CATALOGUE:
+        if sizes[name] > BEYOND_BELIEF:
+            unseen[name] = ()
+        elif any(parameter.endswith(ROUND) for parameter, _ in parts.get(name, ())):
+            unseen[name] = tuple(text for _, text in parts[name])
+    return unseen
+
+
+def _hidden_parts(whitened: Whitened, half: float, ratio: int) -> dict[str, list[tuple[str, str]]]:
+    candidates = whitened.candidates
+    seen = np.sqrt(np.maximum(whitened.square[ratio], 0.0))
+    best: dict[tuple[str, str, str], float] = {}
+    for variant in candidates.variants:
+        if variant.named:
+            shape = ", ".join(f"{name} {value:g}" for name, value in variant.shape)
+            for column in variant.columns:
+                key = (variant.family, candidates.kinds[column].parameter, shape)
+                best[key] = max(best.get(key, 0.0), float(seen[column]))
+    parts: dict[str, list[tuple[str, str]]] = {}
+    for (family, parameter, shape), size in best.items():
+        if half > BEYOND_BELIEF * size:
+            parts.setdefault(family, []).append((parameter, f"{parameter} ({shape})" if shape else parameter))
+    return parts
+
+
+class EffectPart(NamedTuple):
+    """One number of an effect, at its plausible size: a parameter, of one channel or all, in certain mountings."""
+
+    family: str
+    parameter: str
+    shape: tuple[tuple[str, float], ...]
+    mounts: tuple[str, ...]
+    channel: int | None
+
+
+Form = tuple[EffectPart, ...]
+"""A form that an effect may have: the numbers that it has then."""
+
+
+def form_of(candidates: Candidates, variant: Variant) -> Form:
+    """Return a variant of a candidate, so that it can be looked at in other readings."""
+    kinds = [candidates.kinds[place] for place in variant.columns]
+    return tuple(EffectPart(variant.family, k.parameter, variant.shape, k.mounts, k.channel) for k in kinds)
+
+
+def forms_of(candidates: Candidates, family: str) -> tuple[Form, ...]:
+    """Return the forms that an effect may have in the readings of these candidates."""
+    return tuple(form_of(candidates, v) for v in candidates.variants if v.family == family)
+
+
+def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, ...]:
+    """Return the forms of an effect in every channel, of each shape, in all mountings or the given ones."""
+    parameters = CATALOGUE[family].parameters
+    grids = [[(p.name, value) for value in p.grid] for p in parameters if p.grid]
+    return tuple(
+        tuple(
+            EffectPart(family, p.name, shape, mounts, channel)
+            for p in parameters
+            if not p.grid
+            for channel in ((0, 1, 2) if p.per_channel else (None,))
+        )
+        for shape in itertools.product(*grids)
+    )
+
+
+class ReadingDesign:
+    """Readings, taken or planned, in which explanations are compared.
+
+    `noise` is the size of the noise, `others` are effects that are in the model beside what is compared, each
+    known no better than the readings tell.
+    """
+
+    def __init__(self, linear: LinearSystem, noise: NoiseSize, others: Sequence[Form] = ()) -> None:
+        self.linear = linear
+        self._noise = noise
+        self._unseen: dict[EffectPart, Floats] = {}
+        self._seen: dict[EffectPart, Floats] = {}
+        known = [self._column(part) * KNOWN_SIZE for form in others for part in form]
+        self._make_free(known)
+
+    def remounted(self, families: Sequence[str], before: Sequence[str]) -> None:
+        """Give every mounting that is not among those `before` such effects of its own, of plausible size.
+
+        What was wrong in one mounting says nothing of the next; what lasts goes on.
+        """
+        labels = [str(m) for m in self.linear.moved.mounts if m.installation != VERIFICATION]
+        effects = [CATALOGUE[family] for family in families]
+        of_mounts = [effect.name for effect in effects if effect.per_mount and not effect.lasts]
+        new = [
+            self._column(part)
+            for family in of_mounts
+            for label in labels
+            if label not in before
+            for part in forms_everywhere(family, (label,))[0]
+        ]
+        self._make_free([*self._known, *new])
+
+    def _make_free(self, known: list[Floats]) -> None:
+        """Project out the coefficients, and within their priors the stand's angles and the `known` columns."""
+        self._known = known
+        self._seen.clear()
+        fixed, random = self.linear.fixed, self.linear.random
+        self._priors = random.shape[1] + len(known)
+        base = self._white(np.column_stack([fixed, random, *known]))
+        prior = np.concatenate([np.zeros((self._priors, fixed.shape[1])), np.eye(self._priors)], axis=1)
+        self._basis, _ = np.linalg.qr(np.concatenate([base, prior]))
+
+    def _white(self, columns: Floats) -> Floats:
+        return whiten_rows(self.linear, self._noise, columns, np.ones(len(self.linear), dtype=bool))
+
+    def _left(self, columns: Floats) -> Floats:
+        """Return what of columns (N, m) shows beside what is free, units of the noise."""
+        white = np.concatenate([self._white(columns), np.zeros((self._priors, columns.shape[1]))])
+        left: Floats = white - self._basis @ (self._basis.T @ white)
+        return left
+
+    def _column(self, part: EffectPart) -> Floats:
+        if part not in self._unseen:
+            effect = CATALOGUE[part.family]
+            parameter = next(p for p in effect.parameters if p.name == part.parameter)
+            columns = plausible_columns(self.linear, effect, parameter, part.shape, part.mounts)
+            for channel, column in columns.items():
+                self._unseen[part._replace(channel=channel)] = column
+        return self._unseen[part]
+
+    def seen(self, form: Form) -> Floats:
+        """Return what a form leaves beside what is free, for a plausible size of each number, (m, numbers)."""
+        new = [part for part in form if part not in self._seen]
+        if new:
+            left = self._left(np.column_stack([self._column(part) for part in new]))
+            self._seen.update(zip(new, left.T, strict=True))
+        return np.column_stack([self._seen[part] for part in form])
+
+    def divergence(self, found: Sequence[AppliedEffect], rivals: Sequence[Form]) -> float:
+        """Return D of an effect with the values found against the nearest form of a rival."""
+        total = np.sum([self.linear.effect_column(applied) for applied in found], axis=0)
+        one = self._left(total[:, None])[:, 0]
+        least = float(one @ one)
+        for form in rivals:
+            other = self.seen(form)
+            left = one - other @ np.linalg.lstsq(other, one, rcond=1e-9)[0]
+            least = min(least, float(left @ left))
+        return least / 2.0
+
+    def visible(self, forms: Sequence[Form]) -> float:
+        """Return how far an effect of plausible size stands out in the form that shows best (rho)."""
+        return max((_largest(self.seen(form)) for form in forms), default=0.0)
+
+    def cosine(self, one: Form, other: Form) -> float:
+        """Return the cosine of the smallest angle between what two forms leave; 0 where one leaves nothing."""
+        first, second = _basis(self.seen(one)), _basis(self.seen(other))
+        if not (first.shape[1] and second.shape[1]):
+            return 0.0
+        return min(1.0, _largest(first.T @ second))
+
+
+def _largest(matrix: Floats) -> float:
+    """Return the largest singular value."""
+    return float(np.linalg.svd(matrix, compute_uv=False)[0])
+
+
+def _basis(columns: Floats) -> Floats:
+    u, size, _ = np.linalg.svd(columns, full_matrices=False)
+    return u[:, size > 1e-6 * max(1.0, size[0])]

@@ -1,0 +1,466 @@
+"""Comparison of calibrations of one block: E_n, a joint chi-square, what they have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+from scipy import special
+
+from bench.base.arrays import Floats, Ints, Mask, u_of
+from bench.calibration.conformity import COVERAGE_FACTOR
+from bench.calibration.known import METERS_DRIFT, drifted
+from bench.calibration.result import CalibrationError
+from bench.model.block import COEFFICIENTS
+from bench.stats.multiple_testing import holm
+
+CHANGED_P: Final = 0.05
+"""A coefficient changed when chance alone would show any change so large, in all looks, less often than this."""
+JOINT_P: Final = 0.01
+LEAST_FOR_DRIFT: Final = 3
+LEAST_SPAN: Final = timedelta(days=1)
+"""Calibrations within a shorter time show a scatter, no drift."""
+MOST_CONDITION: Final = 1e12
+ALIKE: Final = 0.01
+"""Calibrations apart agree in all twelve coefficients within this part of u once in 10^25 times."""
+SECONDS_PER_YEAR: Final = 365.25 * 86400.0
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A calibration at a time: coefficients `vector` (12,) in unit/g with g = `g_m_s2`, `covariance` (12, 12).
+
+    `block` says which block it was (type and serial number), empty where nobody recorded it. `same_meters`
+    (12, 12) is the covariance without what cancels where the same meters measure again, None where there is no such
+    part; `meters` are their identities, empty where unknown. `block_terms` (12, q) is what K2 and K3 of the block,
+    one u large, add to the coefficients: the same block brings the same ones. `wander` (3,) is how far each bias
+    may wander about its mean over the run, rms: from one run to the next it goes on.
+    """
+
+    name: str
+    when: datetime | None
+    block: str
+    unit: str
+    g_m_s2: float
+    vector: Floats
+    covariance: Floats
+    simulated: bool = False
+    same_meters: Floats | None = None
+    meters: tuple[str, ...] = ()
+    block_terms: Floats | None = None
+    wander: Floats | None = None
+
+    def per(self, g_m_s2: float) -> Snapshot:
+        """Return it with scale factors per another local gravity: the same per m/s^2."""
+        factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / self.g_m_s2, 1.0)
+        both = np.outer(factor, factor)
+        own = None if self.same_meters is None else self.same_meters * both
+        return replace(
+            self,
+            g_m_s2=g_m_s2,
+            vector=self.vector * factor,
+            covariance=self.covariance * both,
+            same_meters=own,
+            block_terms=None if self.block_terms is None else self.block_terms * factor[:, None],
+        )
+
+    @property
+    def without_meters(self) -> Floats:
+        """The covariance without what cancels where the same meters measure again, (12, 12)."""
+        return self.covariance if self.same_meters is None else self.same_meters
+
+    @property
+    def _gone_on(self) -> Floats:
+        """The covariance (12, 12) of the biases at the run's mean from what they were as it began.
+
+        A random walk with rms s about its mean over a run has a mean that is off its beginning by sqrt(2) s.
+        """
+        between = np.zeros(len(COEFFICIENTS))
+        if self.wander is not None:
+            between[9:] = 2.0 * self.wander**2
+        return np.diag(between)
+
+    def against(self, first: Snapshot) -> Snapshot:
+        """Return it with the covariance that it has beside `first`, which then has its own without the meters.
+
+        Gain and offset of meters that are the same cancel on one day, and less the longer they may have drifted:
+        after `METERS_DRIFT` they may be anywhere within their limits. Those of other meters, or of ones that nobody
+        named, never cancel. K2 and K3 of the block cancel as far as both calibrations take them up alike.
+        """
+        theirs = _of_block(first.block_terms)
+        own = self.without_meters + self._gone_on
+        if self is first:
+            return replace(self, covariance=own - theirs)
+        part = _drifted(first, self)
+        meters = (self.covariance - self.without_meters) + (first.covariance - first.without_meters)
+        block = theirs
+        mine, other = self.block_terms, first.block_terms
+        if mine is not None and other is not None and (self.block, mine.shape) == (first.block, other.shape):
+            block = _of_block(mine - other) - _of_block(mine)
+        return replace(self, covariance=own + part * meters + block)
+
+
+def _of_block(terms: Floats | None) -> Floats:
+    """Return the covariance (12, 12) of what terms (12, q) of the block, each one u large, add."""
+    return np.zeros((len(COEFFICIENTS),) * 2) if terms is None else np.asarray(terms @ terms.T)
+
+
+@dataclass(frozen=True)
+class Changes:
+    """A later calibration against the first: `difference`, `u`, `en` (12,), each with its own meaning of size.
+
+    `p_all_looks` (12,) are two-sided probabilities after Holm over all coefficients and calibrations compared;
+    `chi2` with twelve degrees of freedom and `p` judge all coefficients together, with their covariances.
+    """
+
+    later: Snapshot
+    difference: Floats
+    u: Floats
+    en: Floats
+    p_all_looks: Floats
+    chi2: float
+    p: float
+
+    @property
+    def changed(self) -> Mask:
+        """Which coefficients changed beyond their uncertainty, shape (12,)."""
+        return self.p_all_looks < CHANGED_P
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Weighted straight lines through each coefficient over time.
+
+    `per_year` and `u` (12,); `p_all_looks` (12,) after Holm over the twelve; `chi2` and `p` of what the lines
+    leave, with `dof` degrees of freedom.
+    """
+
+    per_year: Floats
+    u: Floats
+    p_all_looks: Floats
+    chi2: float
+    dof: int
+    p: float
+
+    @property
+    def shown(self) -> Mask:
+        """Which coefficients drift, shape (12,)."""
+        return self.p_all_looks < CHANGED_P
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All later calibrations against the first, and what they say together.
+
+    `p_constant` is the probability of so much disagreement among all of them if nothing changed.
+    """
+
+    first: Snapshot
+    changes: tuple[Changes, ...]
+    p_constant: float
+    drift: Drift | None
+    notes: tuple[str, ...]
+
+    @property
+    def changed(self) -> bool:
+        """Whether any coefficient changed, or all together did."""
+        return self.p_constant < JOINT_P or any(bool(np.any(c.changed)) for c in self.changes)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result."""
+        return {
+            "first": _snapshot_json(self.first),
+            "unit": self.first.unit,
+            "g_m_s2": self.first.g_m_s2,
+            "compared": [_changes_json(changes) for changes in self.changes],
+            "p_constant": self.p_constant,
+            "drift": self.drift and _drift_json(self.drift),
+            "changed": self.changed,
+            "notes": list(self.notes),
+        }
+
+
+def compare(snapshots: Sequence[Snapshot]) -> Comparison:
+    """Compare calibrations of one block, the earliest being the reference where all have a date.
+
+    Coefficients are brought to the local gravity of the first. Raises `CalibrationError` when there are fewer
+    than two, their units differ, or covariances are singular.
+    """
+    if len(snapshots) < 2:
+        raise CalibrationError("a comparison needs two calibrations or more; name another run or result")
+    units = sorted({snapshot.unit for snapshot in snapshots})
+    if len(units) > 1:
+        listed = ", ".join(f"{snapshot.name} in {snapshot.unit}" for snapshot in snapshots)
+        raise CalibrationError(f"coefficients in different units cannot be compared ({listed})")
+    for snapshot in snapshots:
+        _require_regular(snapshot)
+    dates = [snapshot.when for snapshot in snapshots if snapshot.when is not None]
+    dated = len(dates) == len(snapshots)
+    ordered = list(snapshots)
+    if dated:
+        ordered = [snapshots[k] for k in np.argsort([d.timestamp() for d in dates], kind="stable")]
+    notes = _notes(ordered, dated=dated)
+    g = ordered[0].g_m_s2
+    there = [snapshot.per(g) for snapshot in ordered]
+    alike = [snapshot.against(there[0]) for snapshot in there]
+    differences = [later.vector - alike[0].vector for later in alike[1:]]
+    u = [np.sqrt(np.diag(alike[0].covariance) + np.diag(later.covariance)) for later in alike[1:]]
+    p = holm(
+        np.concatenate(
+            [special.erfc(np.abs(d) / s / np.sqrt(2)) for d, s in zip(differences, u, strict=True)]
+        )
+    )
+    changes = tuple(
+        _changes(alike[0], later, d, s, own)
+        for later, d, s, own in zip(alike[1:], differences, u, p.reshape(-1, len(COEFFICIENTS)), strict=True)
+    )
+    drifts = dated and len(dates) >= LEAST_FOR_DRIFT and max(dates) - min(dates) >= LEAST_SPAN
+    return Comparison(alike[0], changes, _constant(alike), _drift(alike, dates) if drifts else None, notes)
+
+
+def _changes(first: Snapshot, later: Snapshot, difference: Floats, u: Floats, p: Floats) -> Changes:
+    en = np.abs(difference) / (COVERAGE_FACTOR * u)
+    chi2 = _chi2(difference, first.covariance + later.covariance)
+    return Changes(later, difference, u, en, p, chi2, float(special.chdtrc(len(difference), chi2)))
+
+
+def _require_regular(snapshot: Snapshot) -> None:
+    """Refuse a result in which a coefficient was fixed, or is a sum of others."""
+    u = u_of(snapshot.covariance)
+    if not np.all(u > 0) or np.linalg.cond(snapshot.covariance / np.outer(u, u)) > MOST_CONDITION:
+        raise CalibrationError(
+            f"{snapshot.name}: its covariance is singular, so not all twelve coefficients were found from "
+            "readings; calibrate from installations of known orientation"
+        )
+
+
+def _chi2(difference: Floats, covariance: Floats) -> float:
+    """Quadratic form, on correlations so that coefficients of different units are alike."""
+    u = u_of(covariance)
+    scaled = difference / u
+    return float(scaled @ np.linalg.solve(covariance / np.outer(u, u), scaled))
+
+
+def _constant(snapshots: Sequence[Snapshot]) -> float:
+    """Probability of the disagreement about one vector for all (generalised least squares)."""
+    weights = [np.linalg.inv(snapshot.covariance) for snapshot in snapshots]
+    mean = np.linalg.solve(sum(weights), sum(w @ s.vector for w, s in zip(weights, snapshots, strict=True)))
+    chi2 = sum(_chi2(s.vector - mean, s.covariance) for s in snapshots)
+    return float(special.chdtrc(len(mean) * (len(snapshots) - 1), chi2))
+
+
+def _drift(snapshots: Sequence[Snapshot], dates: Sequence[datetime]) -> Drift:
+    """Straight lines by generalised least squares, all coefficients at once with their covariances."""
+    seconds = np.sort([date.timestamp() for date in dates])
+    years = (seconds - seconds[0]) / SECONDS_PER_YEAR
+    count = len(COEFFICIENTS)
+    normal, right = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
+    designs = [np.kron([1.0, year - years.mean()], np.eye(count)) for year in years]
+    for design, snapshot in zip(designs, snapshots, strict=True):
+        weighted = np.linalg.solve(snapshot.covariance, design)
+        normal += design.T @ weighted
+        right += weighted.T @ snapshot.vector
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    covariance = np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale)
+    line = covariance @ right
+    left = [s.vector - d @ line for d, s in zip(designs, snapshots, strict=True)]
+    chi2 = sum(_chi2(gap, s.covariance) for gap, s in zip(left, snapshots, strict=True))
+    slope, u = line[count:], u_of(covariance)[count:]
+    dof = count * (len(snapshots) - 2)
+    p = holm(special.erfc(np.abs(slope) / u / np.sqrt(2)))
+    return Drift(slope, u, p, chi2, dof, float(special.chdtrc(dof, chi2)))
+
+
+def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:
+    notes = []
+    blocks = sorted({snapshot.block for snapshot in snapshots if snapshot.block})
+    if len(blocks) > 1:
+        notes.append(f"THESE ARE DIFFERENT BLOCKS, as recorded: {', '.join(blocks)}")
+    elif any(not snapshot.block for snapshot in snapshots):
+        notes.append(
+            "not every result says which block it is of; that it is the same one is taken for granted"
+        )
+    if not dated:
+        notes.append(
+            "not every calibration has a date: the first named is the reference; no drift is computed"
+        )
+    if any(_one_and_the_same(a, b) for a, b in combinations(snapshots, 2)):
+        notes.append(
+            "two of these agree to a hundredth of their uncertainty in everything: do they come from the same "
+            "readings?"
+        )
+    if len({snapshot.simulated for snapshot in snapshots}) > 1:
+        notes.append("some of these were found on simulated instruments, some on real ones")
+    others = sorted({s.g_m_s2 for s in snapshots if s.g_m_s2 != snapshots[0].g_m_s2})
+    if others:
+        listed = ", ".join(f"{g:.6g}" for g in others)
+        notes.append(
+            f"local gravity differs ({snapshots[0].g_m_s2:.6g} m/s² here, {listed} elsewhere): scale factors are "
+            "converted to the gravity of the first, so that they are compared per m/s²"
+        )
+    notes.append(_on_meters(snapshots))
+    return tuple(notes)
+
+
+def _on_meters(snapshots: Sequence[Snapshot]) -> str:
+    bare = [snapshot.name for snapshot in snapshots if snapshot.same_meters is None]
+    if bare:
+        return (
+            f"{', '.join(bare)}: no errors of the meters in its uncertainty; with the same meters they cancel, "
+            "with other ones they pass for a change"
+        )
+    parts = [_drifted(snapshots[0], later) for later in snapshots[1:]]
+    if max(parts) == 0.0:
+        return (
+            "the same meters, by identity and address, on the same day: their gain and offset cancel and are in no "
+            "uncertainty here"
+        )
+    if all(snapshot.meters == snapshots[0].meters != () for snapshot in snapshots):
+        return (
+            "the same meters, by identity and address: their gain and offset count as far as they may have drifted "
+            f"({METERS_DRIFT.days} days: all)"
+        )
+    return "not known to be the same meters: their gain and offset are in every uncertainty"
+
+
+def _drifted(first: Snapshot, later: Snapshot) -> float:
+    """Return the part of the meters' limits by which they may differ between two calibrations, 0 to 1."""
+    return drifted((first.meters, first.when), (later.meters, later.when))
+
+
+def _one_and_the_same(a: Snapshot, b: Snapshot) -> bool:
+    u = np.sqrt(np.diag(a.covariance) + np.diag(b.covariance))
+    return bool(np.all(np.abs(a.vector - b.vector) <= ALIKE * u))
+
+
+def _snapshot_json(snapshot: Snapshot) -> dict[str, Any]:
+    when = snapshot.when.isoformat() if snapshot.when else None
+    return {"name": snapshot.name, "made_at": when, "block": snapshot.block or None}
+
+
+def _changes_json(changes: Changes) -> dict[str, Any]:
+    columns = (changes.difference, changes.u, changes.en, changes.p_all_looks, changes.changed)
+    return {
+        **_snapshot_json(changes.later),
+        "coefficients": {
+            name: {
+                "difference": float(d),
+                "u": float(u),
+                "en": float(en),
+                "p_all_looks": float(p),
+                "changed": bool(changed),
+            }
+            for name, d, u, en, p, changed in zip(COEFFICIENTS, *columns, strict=True)
+        },
+        "chi2": changes.chi2,
+        "dof": len(COEFFICIENTS),
+        "p": changes.p,
+    }
+
+
+def _drift_json(drift: Drift) -> dict[str, Any]:
+    rows = zip(COEFFICIENTS, drift.per_year, drift.u, drift.p_all_looks, drift.shown, strict=True)
+    return {
+        "per_year": {
+            name: {"value": float(value), "u": float(u), "p_all_looks": float(p), "shown": bool(shown)}
+            for name, value, u, p, shown in rows
+        },
+        "chi2": drift.chi2,
+        "dof": drift.dof,
+        "p": drift.p,
+    }
+
+
+SECONDS_PER_DAY: Final = 86400.0
+
+
+def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
+    """Return for each coefficient the covariance of n calibrations with one another, (12, n, n).
+
+    In common are the gains and offsets of the same meters, less the longer they may have drifted (all, from
+    `METERS_DRIFT` on), and K2 and K3 of the same block. Scale factors have to be per one g.
+    """
+    n = len(snapshots)
+    found = np.zeros((len(COEFFICIENTS), n, n))
+    meters = np.sqrt(
+        np.maximum([np.diag(s.covariance - s.without_meters) for s in snapshots], 0.0)
+    )  # (n, 12)
+    for i, first in enumerate(snapshots):
+        found[:, i, i] = np.diag(first.covariance)
+        for j in range(i):
+            other = snapshots[j]
+            alike = _still_alike(first, other) * meters[i] * meters[j] + _shared_block_terms(first, other)
+            found[:, i, j] = found[:, j, i] = alike
+    return found
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The covariance of all twelve coefficients of n calibrations, in its parts.
+
+    `own` (n, 12, 12) belongs to each alone; `meters` (n, 12, 12) are roots of what meters bring, correlated by
+    `alike` (n, n); `terms` (n, 12, q) are what K2 and K3 of a block bring to all its calibrations; `block` (n,)
+    tells which.
+    """
+
+    own: Floats
+    meters: Floats
+    alike: Floats
+    terms: Floats
+    block: Ints
+
+    def of_sums(self, weights: Floats) -> Floats:
+        """Return the covariance (12, 12) of sums over calibrations, each coefficient with its weights (12, n)."""
+        found = np.einsum("kn,ln,nkl->kl", weights, weights, self.own, optimize=True)
+        meters = weights.T[:, :, None] * self.meters
+        n, size, _ = meters.shape
+        mixed = (self.alike @ meters.reshape(n, -1)).reshape(n, size, -1)
+        found += np.einsum("nka,nla->kl", meters, mixed, optimize=True)
+        for one in np.unique(self.block):
+            here = self.block == one
+            summed = np.einsum("kn,nkq->kq", weights[:, here], self.terms[here], optimize=True)
+            found += summed @ summed.T
+        return np.asarray(0.5 * (found + found.T))
+
+
+def joint_of(snapshots: Sequence[Snapshot]) -> Joint:
+    """Return what n calibrations have in common over all twelve coefficients; as `joint_covariances`."""
+    size = len(COEFFICIENTS)
+    meters = np.array([s.covariance - s.without_meters for s in snapshots])
+    level, along = np.linalg.eigh(meters)
+    roots = (along * np.sqrt(np.maximum(level, 0.0))[:, None, :]) @ along.swapaxes(1, 2)
+    none = np.zeros((size, 0))
+    listed = [none if s.block_terms is None else s.block_terms for s in snapshots]
+    most = max(one.shape[1] for one in listed)
+    terms = np.array([np.pad(one, ((0, 0), (0, most - one.shape[1]))) for one in listed])
+    names: dict[tuple[str, int], int] = {}
+    block = [
+        names.setdefault((s.block, one.shape[1]), len(names))
+        for s, one in zip(snapshots, listed, strict=True)
+    ]
+    alike = np.array([[1.0 if a is b else _still_alike(a, b) for b in snapshots] for a in snapshots])
+    own = np.array([s.without_meters for s in snapshots]) - terms @ terms.swapaxes(1, 2)
+    return Joint(own, roots, alike, terms, np.array(block, dtype=np.int64))
+
+
+def _still_alike(first: Snapshot, other: Snapshot) -> float:
+    """Return the correlation of errors of the meters, by whole days: 1 on one day, 0 for other meters."""
+    if not first.meters or first.meters != other.meters or first.when is None or other.when is None:
+        return 0.0
+    apart = abs(_day(first.when) - _day(other.when))
+    return max(0.0, 1.0 - apart / METERS_DRIFT.days)
+
+
+def _day(when: datetime) -> float:
+    return float(np.floor(when.timestamp() / SECONDS_PER_DAY))
+
+
+def _shared_block_terms(first: Snapshot, other: Snapshot) -> Floats:
+    mine, theirs = first.block_terms, other.block_terms
+    if mine is None or theirs is None or (first.block, mine.shape) != (other.block, theirs.shape):
+        return np.zeros(len(COEFFICIENTS))
+    return np.asarray(np.sum(mine * theirs, axis=1))

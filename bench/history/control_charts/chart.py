@@ -1,0 +1,558 @@
+"""The control chart of a check block: which runs it rejects, as words and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from bench.base.arrays import Floats
+from bench.base.numbers import MINUS, finite_or_none, probability
+from bench.calibration.result import CalibrationError
+from bench.history.control_charts.statistics import (
+    ALIKE_P,
+    Centre,
+    Components,
+    Design,
+    DriftSeen,
+    Judged,
+    ShortTerm,
+    centre_of,
+    components_of,
+    drift_of,
+    judge,
+    least_runs,
+    short_term,
+    without_one,
+)
+from bench.model.block import COEFFICIENTS
+
+FEW_RUNS = 8
+"""With fewer in the baseline, limits are wide: the page says so."""
+
+
+def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
+    """Return why a later run is rejected, a clause for each statistic beyond its limit; nothing where none is."""
+    reasons = []
+    shewhart, ewma, short = chart.shewhart, chart.ewma, chart.short
+    if shewhart.t2[row] > chart.limit_t2:
+        which = _which(shewhart.z[row], chart.limit_single)
+        reasons.append(f"T² = {shewhart.t2[row]:.1f} is beyond {chart.limit_t2:.1f} ({which})")
+    if ewma.t2[row] > chart.limit_ewma:
+        which = _which(ewma.z[row], chart.limit_single_ewma)
+        reasons.append(f"T² of the EWMA = {ewma.t2[row]:.1f} is beyond {chart.limit_ewma:.1f} ({which})")
+    if short is not None and short.p[row] < chart.design.alpha:
+        reasons.append(
+            f"its short-term standard deviation is {np.sqrt(short.f[row]):.2f} times that of the baseline "
+            f"(F = {short.f[row]:.2f} for {short.dof[row]:.0f} and {short.pooled_dof:.0f})"
+        )
+    return tuple(reasons)
+
+
+def _which(z: Floats, limit: float) -> str:
+    """Say which coefficients are beyond their own limit, the farthest first; else the farthest, that none is."""
+    order = np.argsort(-np.abs(z))
+    beyond = [k for k in order if abs(z[k]) > limit]
+    named = [f"{COEFFICIENTS[k]} {z[k]:+.1f} u".replace("-", MINUS) for k in order]
+    return ", ".join(named[: len(beyond)]) if beyond else f"no coefficient alone; the farthest is {named[0]}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names as a sentence has them: "Kxx, Kxy and Kxz"."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
+
+
+def notes_of(chart: ControlChart) -> tuple[str, ...]:
+    """Return what a reader of the chart should know, a sentence each."""
+    return (*_on_baseline(chart), *_on_components(chart), *_on_meters(chart), *_on_drift(chart))
+
+
+def _on_baseline(chart: ControlChart) -> list[str]:
+    notes = []
+    runs = len(chart.baseline)
+    if chart.reference is not None:
+        notes.append(
+            f"judged by the reference {chart.reference.name}: what lasts in the u of this bench (limits of its "
+            "meters, temperature) is in every limit, so that only large changes show; a baseline of the bench's "
+            "own runs sees smaller ones"
+        )
+    elif runs < FEW_RUNS:
+        notes.append(
+            f"the baseline has {runs} run{'s' * (runs > 1)}: the limits are as wide as so few make them; they "
+            "come closer with more"
+        )
+    if chart.alone is not None:
+        worst = int(np.argmin(chart.alone))
+        if runs * chart.alone[worst] < ALIKE_P:
+            notes.append(
+                f"{chart.baseline[worst].name} stands apart from the other runs of the baseline "
+                f"({probability(min(1.0, runs * float(chart.alone[worst])))}): find out why, or leave it out"
+            )
+    return notes
+
+
+def _on_components(chart: ControlChart) -> list[str]:
+    found = chart.components
+    if found is None:
+        return []
+    notes = []
+    more = [name for name, p in zip(COEFFICIENTS, found.more_than_stated, strict=True) if p < ALIKE_P]
+    if more:
+        notes.append(
+            f"between the runs of the baseline {_listed(more)} scatter{'s' * (len(more) == 1)} more than stated u: "
+            "something comes anew with each run that the bench file does not state so large"
+        )
+    if found.birge_p < ALIKE_P:
+        taken = (
+            "believe stated u all the same" if chart.design.basis == "stated" else "are as the scatter shows"
+        )
+        notes.append(
+            f"the baseline scatters {np.sqrt(found.birge2):.2f} times as much as stated u "
+            f"({probability(found.birge_p)}); the limits {taken}"
+        )
+    if chart.design.basis != "scatter" and found.alike_p < ALIKE_P:
+        notes.append(
+            f"stated u is not as right for every coefficient ({probability(found.alike_p)}): false alarms are more "
+            "frequent than stated; name under 'between_runs' what comes anew with each run, or take limits from "
+            "scatter (14 runs or more)"
+        )
+    return notes
+
+
+def _on_meters(chart: ControlChart) -> list[str]:
+    known = {run.meters for run in chart.baseline}
+    other = [run.name for run in chart.later if known and run.meters not in known]
+    if not other:
+        return []
+    return [
+        f"not known to be measured with the meters of the baseline: {_listed(other)}; the limits of both meters "
+        "are in u there; take a new baseline with the new meters"
+    ]
+
+
+def _on_drift(chart: ControlChart) -> list[str]:
+    if chart.drift is None:
+        return []
+    names = [name for name, p in zip(COEFFICIENTS, chart.drift.p, strict=True) if p < ALIKE_P]
+    if not names:
+        return []
+    return [
+        f"{_listed(names)} of the check block drift{'s' * (len(names) == 1)}: if it is the block and not the "
+        "bench, state it under 'drift' with its u"
+    ]
+
+
+def chart_json(chart: ControlChart) -> dict[str, Any]:
+    """Return the promised form: deviations and u in unit/g and unit, `z` in u, NaN and infinity as null."""
+    centre, design = chart.centre, chart.design
+    last = chart.verdicts[-1] if chart.verdicts else None
+    return {
+        "design": {
+            "arl": design.arl,
+            "arl_of_each": design.each_arl,
+            "smoothing": design.smoothing,
+            "limits_from": design.basis,
+        },
+        "baseline": [run.name for run in chart.baseline],
+        "reference": None if chart.reference is None else chart.reference.name,
+        "centre": _by_name(centre.value, np.sqrt(np.diag(centre.covariance) * centre.scale)),
+        "scale": float(np.sqrt(centre.scale)),
+        "dof": finite_or_none(centre.dof),
+        "limits": {
+            "t2": chart.limit_t2,
+            "ewma_t2": chart.limit_ewma,
+            "single": chart.limit_single,
+            "single_ewma": chart.limit_single_ewma,
+        },
+        "runs": [_run_json(chart, row) for row in range(len(chart.later))],
+        "components": _components_json(chart),
+        "drift": _drift_json(chart),
+        "baseline_alone_p": None if chart.alone is None else chart.alone.tolist(),
+        "in_control": chart.in_control,
+        "last": None if last is None else last.run,
+        "notes": list(chart.notes),
+    }
+
+
+def _run_json(chart: ControlChart, row: int) -> dict[str, Any]:
+    verdict, run, short = chart.verdicts[row], chart.later[row], chart.short
+    return {
+        "run": verdict.run,
+        "when": verdict.when.isoformat(),
+        "accepted": verdict.accepted,
+        "reasons": list(verdict.reasons),
+        "t2": float(chart.shewhart.t2[row]),
+        "p": float(chart.shewhart.p_joint[row]),
+        "ewma_t2": finite_or_none(float(chart.ewma.t2[row])),
+        "ewma_p": finite_or_none(float(chart.ewma.p_joint[row])),
+        "short_term": {
+            "s": run.s,
+            "dof": run.s_dof,
+            "f": None if short is None else float(short.f[row]),
+            "p": None if short is None else float(short.p[row]),
+        },
+        "coefficients": {
+            name: {
+                "deviation": float(chart.shewhart.deviation[row, k]),
+                "u": float(chart.shewhart.u[row, k]),
+                "z": float(chart.shewhart.z[row, k]),
+                "ewma": finite_or_none(float(chart.ewma.deviation[row, k])),
+                "ewma_u": finite_or_none(float(chart.ewma.u[row, k])),
+                "ewma_z": finite_or_none(float(chart.ewma.z[row, k])),
+            }
+            for k, name in enumerate(COEFFICIENTS)
+        },
+    }
+
+
+def _components_json(chart: ControlChart) -> dict[str, Any] | None:
+    found = chart.components
+    if found is None:
+        return None
+    columns = {
+        "noise": found.noise,
+        "stated": found.stated,
+        "scatter": found.scatter,
+        "f": found.f,
+        "p": found.p,
+        "between": found.between,
+        "between_most": found.between_most,
+    }
+    return {
+        "coefficients": {
+            name: {title: float(column[k]) for title, column in columns.items()}
+            for k, name in enumerate(COEFFICIENTS)
+        },
+        "runs": found.runs,
+        "birge": float(np.sqrt(found.birge2)),
+        "birge_dof": found.birge_dof,
+        "birge_p": found.birge_p,
+        "alike_p": found.alike_p,
+        "short_term": None
+        if chart.short is None
+        else {"s": chart.short.pooled, "dof": chart.short.pooled_dof},
+    }
+
+
+def _drift_json(chart: ControlChart) -> dict[str, Any] | None:
+    if chart.drift is None:
+        return None
+    rows = zip(COEFFICIENTS, chart.drift.per_year, chart.drift.u, chart.drift.p, strict=True)
+    return {name: {"per_year": float(value), "u": float(u), "p": float(p)} for name, value, u, p in rows}
+
+
+def _by_name(values: Floats, u: Floats) -> dict[str, dict[str, float]]:
+    rows = zip(COEFFICIENTS, values.tolist(), u.tolist(), strict=True)
+    return {name: {"value": value, "u": own} for name, value, own in rows}
+
+
+SECONDS_PER_YEAR = 365.25 * 86400.0
+LEAST_FOR_DRIFT = 5
+LEAST_SPAN_YEARS = 7.0 / 365.25
+
+
+@dataclass(frozen=True)
+class CheckRun:
+    """A calibration of the check block: `value` (12,), with `covariance` (12, 12) of what came anew with this run.
+
+    `noise` (12,) is the part of u that reading noise makes. `s` is the short-term standard deviation of a reading,
+    with `s_dof`. Runs of one `design` (their plan) have the same covariance but for chance. `meters` are the
+    identities of the voltmeters, `of_meters` (12, 12) what their limits add where others are taken, `lasting`
+    (12, 12) all else in the u of this run that does not come anew.
+    """
+
+    name: str
+    when: datetime
+    value: Floats
+    covariance: Floats
+    noise: Floats
+    s: float
+    s_dof: float
+    design: str
+    meters: tuple[str, ...]
+    of_meters: Floats
+    lasting: Floats
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A calibration of the check block elsewhere: `value` (12,) with `covariance` (12, 12) of all that is in
+    its u."""
+
+    name: str
+    when: datetime
+    value: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True)
+class KnownDrift:
+    """How the block is known to drift: `per_year` (12,) with standard uncertainties `u` (12,)."""
+
+    per_year: Floats
+    u: Floats
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a run is accepted, and `reasons` why not, a clause each."""
+
+    run: str
+    when: datetime
+    reasons: tuple[str, ...]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the bench was in control."""
+        return not self.reasons
+
+
+@dataclass(frozen=True)
+class ControlChart:
+    """The chart: `baseline` runs, `reference` in their place where there is one, and `later` runs that are judged.
+
+    `shewhart` and `ewma` have a row for each later run; a run that T² rejects is not carried on by the EWMA,
+    and its row there is NaN. `alone` (m,) are the probabilities of each baseline run beside the others, None
+    where they are too few. `verdicts` are of the later runs, in their order.
+    """
+
+    design: Design
+    baseline: tuple[CheckRun, ...]
+    reference: Reference | None
+    later: tuple[CheckRun, ...]
+    centre: Centre
+    shewhart: Judged
+    ewma: Judged
+    short: ShortTerm | None
+    components: Components | None
+    drift: DriftSeen | None
+    alone: Floats | None
+    verdicts: tuple[Verdict, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def in_control(self) -> bool:
+        """Whether the last run is accepted; of a baseline without later runs nothing speaks against it."""
+        return not self.verdicts or self.verdicts[-1].accepted
+
+    @cached_property
+    def limit_t2(self) -> float:
+        """Limit of T² of a run."""
+        return self.centre.joint_limit(self.design.alpha)
+
+    @cached_property
+    def limit_ewma(self) -> float:
+        """Limit of T² of the EWMA."""
+        return self.centre.joint_limit(self.design.alpha_ewma(self.centre.dimensions))
+
+    @cached_property
+    def limit_single(self) -> float:
+        """Limit of one coefficient, in its u, on its Shewhart chart."""
+        return self.centre.single_limit(self.design.alpha_single(self.centre.dimensions))
+
+    @cached_property
+    def limit_single_ewma(self) -> float:
+        """Limit of one coefficient, in its u, on its EWMA chart."""
+        return self.centre.single_limit(self.design.alpha_single_ewma(self.centre.dimensions))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result."""
+        return chart_json(self)
+
+
+def control_chart(
+    baseline: Sequence[CheckRun],
+    later: Sequence[CheckRun],
+    design: Design,
+    *,
+    reference: Reference | None = None,
+    drift: KnownDrift | None = None,
+    restarted: datetime | None = None,
+) -> ControlChart:
+    """Judge `later` runs of a check block, in the order of time, by a baseline of others, or by a reference.
+
+    `restarted` is when the bench was mended: the EWMA begins anew then. Raises `CalibrationError` where the
+    baseline is too small for what the limits are to be from.
+    """
+    baseline = tuple(sorted(baseline, key=lambda run: run.when))
+    later = tuple(sorted(later, key=lambda run: run.when))
+    if reference is None and not baseline:
+        raise CalibrationError("a chart needs a baseline: measure the check block first")
+    pooled = _Pooled(baseline, later)
+    begun = (
+        np.mean([run.when.timestamp() for run in baseline])
+        if reference is None
+        else reference.when.timestamp()
+    )
+    lines = _Lines(float(begun), drift)
+    if reference is None:
+        values = lines.without(baseline)
+        covariances = pooled.of(baseline)
+        centre = centre_of(values, covariances, design.basis)
+        alone = without_one(values, covariances, design.basis)
+    else:
+        # the errors of this bench that last are in every difference from a reference of another one
+        lasting = np.mean([run.lasting + run.of_meters for run in (*baseline, *later)], axis=0)
+        one = np.ones(())
+        centre = Centre(reference.value, reference.covariance + lasting, one, np.inf, 1)
+        alone = None
+    judged = _Judging(centre, lines, pooled, baseline, design)
+    shewhart = judged.shewhart(later)
+    ewma = judged.ewma(later, shewhart, restarted)
+    short = _short_term(later, baseline)
+    chart = ControlChart(
+        design, baseline, reference, later, centre, shewhart, ewma, short,
+        _components(baseline, pooled, lines), _drift(baseline, later, shewhart, centre, pooled, design),
+        alone, (), (),
+    )  # fmt: skip
+    return _concluded(chart)
+
+
+class _Pooled:
+    """Covariances of runs: those of one design have that of its baseline runs together, which is better known."""
+
+    def __init__(self, baseline: Sequence[CheckRun], later: Sequence[CheckRun]) -> None:
+        self._by_design: dict[str, Floats] = {}
+        for runs in (later, baseline):
+            for design in {run.design for run in runs}:
+                own = [run.covariance for run in runs if run.design == design]
+                self._by_design[design] = np.mean(own, axis=0)
+
+    def of(self, runs: Sequence[CheckRun]) -> Floats:
+        """Return covariances, shape (n, 12, 12)."""
+        p = len(COEFFICIENTS)
+        return np.array([self._by_design[run.design] for run in runs]).reshape(-1, p, p)
+
+
+class _Lines:
+    """The known drift of the block from a time on, where there is any."""
+
+    def __init__(self, begun: float, drift: KnownDrift | None) -> None:
+        self._begun, self._drift = begun, drift
+
+    def years(self, runs: Sequence[CheckRun]) -> Floats:
+        """Return years since then, shape (n,)."""
+        return np.array([(run.when.timestamp() - self._begun) / SECONDS_PER_YEAR for run in runs])
+
+    def without(self, runs: Sequence[CheckRun]) -> Floats:
+        """Return values (n, 12) less the drift that is known."""
+        values = np.array([run.value for run in runs]).reshape(-1, len(COEFFICIENTS))
+        if self._drift is None:
+            return values
+        return values - self.years(runs)[:, None] * self._drift.per_year
+
+    def error(self, runs: Sequence[CheckRun]) -> Floats:
+        """Return what the error of the drift, in units of its u, adds: shape (n, 12, 12)."""
+        u = np.zeros(len(COEFFICIENTS)) if self._drift is None else self._drift.u
+        return self.years(runs)[:, None, None] * np.diag(u)
+
+
+@dataclass(frozen=True)
+class _Judging:
+    centre: Centre
+    lines: _Lines
+    pooled: _Pooled
+    baseline: Sequence[CheckRun]
+    design: Design
+
+    def shewhart(self, runs: Sequence[CheckRun]) -> Judged:
+        return self._judged(runs, 1.0)
+
+    def ewma(self, runs: Sequence[CheckRun], shewhart: Judged, restarted: datetime | None) -> Judged:
+        """Return the EWMA of runs that T² does not reject, begun anew where it was restarted."""
+        kept = shewhart.p_joint >= self.design.alpha
+        after = np.array([restarted is not None and run.when >= restarted for run in runs], dtype=bool)
+        p = len(COEFFICIENTS)
+        columns = [np.full((len(runs), p), np.nan) for _ in range(4)]
+        joint = [np.full(len(runs), np.nan) for _ in range(2)]
+        for part in (kept & ~after, kept & after):
+            rows = np.flatnonzero(part)
+            found = self._judged([runs[int(row)] for row in rows], self.design.smoothing)
+            for column, own in zip(columns, (found.deviation, found.u, found.z, found.p), strict=True):
+                column[rows] = own
+            joint[0][rows], joint[1][rows] = found.t2, found.p_joint
+        return Judged(*columns, *joint)
+
+    def _judged(self, runs: Sequence[CheckRun], smoothing: float) -> Judged:
+        p = len(COEFFICIENTS)
+        if not runs:
+            rows = np.zeros((0, p))
+            return Judged(rows, rows, rows, rows, np.zeros(0), np.zeros(0))
+        shared = np.concatenate([self.lines.error(runs), self._other_meters(runs)], axis=2)
+        return judge(
+            self.centre,
+            self.lines.without(runs),
+            self.pooled.of(runs),
+            smoothing,
+            shared if shared.any() else None,
+        )
+
+    def _other_meters(self, runs: Sequence[CheckRun]) -> Floats:
+        """Return what the limits of meters add where they are not those of the baseline, (n, 12, 12)."""
+        known = {run.meters for run in self.baseline}
+        parts = []
+        for run in runs:
+            other = bool(known) and run.meters not in known
+            # both the new ones and those of the baseline may be anywhere within their limits
+            parts.append(_root(2.0 * run.of_meters) if other else np.zeros_like(run.of_meters))
+        return np.array(parts)
+
+
+def _root(covariance: Floats) -> Floats:
+    """Return a square root of a covariance that need not be of full rank."""
+    sizes, axes = np.linalg.eigh(covariance)
+    return np.asarray(axes * np.sqrt(np.maximum(sizes, 0.0)))
+
+
+def _short_term(later: Sequence[CheckRun], baseline: Sequence[CheckRun]) -> ShortTerm | None:
+    behind = [run for run in baseline if run.s_dof > 0]
+    if not behind or not later:
+        return None
+    return short_term(
+        np.array([run.s for run in later]),
+        np.array([run.s_dof for run in later]),
+        np.array([run.s for run in behind]),
+        np.array([run.s_dof for run in behind]),
+    )
+
+
+def _components(baseline: Sequence[CheckRun], pooled: _Pooled, lines: _Lines) -> Components | None:
+    if len(baseline) < least_runs("scaled", len(COEFFICIENTS)) or len({run.design for run in baseline}) > 1:
+        return None
+    noise = np.sqrt(np.mean([run.noise**2 for run in baseline], axis=0))
+    return components_of(lines.without(baseline), pooled.of(baseline)[0], noise)
+
+
+def _drift(
+    baseline: Sequence[CheckRun],
+    later: Sequence[CheckRun],
+    shewhart: Judged,
+    centre: Centre,
+    pooled: _Pooled,
+    design: Design,
+) -> DriftSeen | None:
+    """Return the drift that accepted runs show, from the baseline on; of few runs or a short time none."""
+    kept = [run for run, p in zip(later, shewhart.p_joint, strict=True) if p >= design.alpha]
+    runs = [*baseline, *kept]
+    if len(runs) < LEAST_FOR_DRIFT or len({run.meters for run in runs}) > 1:
+        return None
+    years = np.array([run.when.timestamp() for run in runs]) / SECONDS_PER_YEAR
+    if np.ptp(years) < LEAST_SPAN_YEARS:
+        return None
+    if centre.scatter is not None:
+        u = np.sqrt(np.diag(centre.scatter))
+    else:
+        u = np.sqrt(float(centre.scale) * np.mean([np.diag(c) for c in pooled.of(runs)], axis=0))
+    return drift_of(years, np.array([run.value for run in runs]), u, centre.dof)
+
+
+def _concluded(chart: ControlChart) -> ControlChart:
+    """Return the chart with its verdicts and notes."""
+    verdicts = tuple(
+        Verdict(run.name, run.when, reasons_of(chart, row)) for row, run in enumerate(chart.later)
+    )
+    return replace(chart, verdicts=verdicts, notes=notes_of(chart))

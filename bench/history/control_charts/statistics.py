@@ -1,0 +1,349 @@
+"""Statistics of a check block: baseline, Shewhart, EWMA, components of variability, the design of a chart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+from scipy import signal, special
+
+from bench.base.arrays import Floats, u_of
+from bench.calibration.result import CalibrationError
+from bench.stats.run_length import ewma_k, mewma_limit
+
+Basis = Literal["stated", "scaled", "scatter"]
+BASES: Final = ("stated", "scaled", "scatter")
+"""The u of a run as stated; the same times one factor that the baseline shows; the scatter of the baseline
+alone."""
+
+
+@dataclass(frozen=True)
+class Centre:
+    """What a baseline of m runs says: `value` (…, p) with `covariance` (p, p), and how large u is in truth.
+
+    `scale` (…,) is by how much the stated covariance is to be multiplied: 1 where it is believed, else the square
+    of the Birge ratio. `scatter` (…, p, p) is the sample covariance where that alone counts, None else. `dof` are
+    the degrees of freedom of either, infinite where u is believed. Leading axes are charts side by side.
+    """
+
+    value: Floats
+    covariance: Floats
+    scale: Floats
+    dof: float
+    runs: int
+    scatter: Floats | None = None
+
+    @property
+    def dimensions(self) -> int:
+        """Number of coefficients, p."""
+        return int(self.value.shape[-1])
+
+    def p_single(self, z: Floats) -> Floats:
+        """Return two-sided probabilities of deviations `z` of one coefficient, in its own u."""
+        if np.isinf(self.dof):
+            return np.asarray(special.erfc(np.abs(z) / np.sqrt(2.0)))
+        return np.asarray(2.0 * special.stdtr(self.dof, -np.abs(z)))
+
+    def p_joint(self, t2: Floats) -> Floats:
+        """Return the probabilities of as much in all coefficients together."""
+        p = self.dimensions
+        if np.isinf(self.dof):
+            return np.asarray(special.chdtrc(p, t2))
+        if self.scatter is None:
+            return np.asarray(special.fdtrc(p, self.dof, t2 / p))
+        left = self.dof - p + 1.0
+        return np.asarray(special.fdtrc(p, left, t2 * left / (p * self.dof)))
+
+    def single_limit(self, probability: float) -> float:
+        """Return the deviation, in u of one coefficient, that has a two-sided probability."""
+        if np.isinf(self.dof):
+            return float(-special.ndtri(0.5 * probability))
+        return float(-special.stdtrit(self.dof, 0.5 * probability))
+
+    def joint_limit(self, probability: float) -> float:
+        """Return the joint statistic that has a probability."""
+        p = self.dimensions
+        if np.isinf(self.dof):
+            return float(special.chdtri(p, probability))
+        if self.scatter is None:
+            return float(p * special.fdtri(p, self.dof, 1.0 - probability))
+        left = self.dof - p + 1.0
+        return float(p * self.dof / left * special.fdtri(p, left, 1.0 - probability))
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Deviations from the centre (…, n, p) with their `u`, `z` = deviation/u with its probability `p`.
+
+    `t2` (…, n) is the joint statistic of all coefficients, `p_joint` its probability.
+    """
+
+    deviation: Floats
+    u: Floats
+    z: Floats
+    p: Floats
+    t2: Floats
+    p_joint: Floats
+
+
+def least_runs(basis: Basis, dimensions: int) -> int:
+    """Return how many runs a baseline must have at least: with scatter alone, more than there are coefficients."""
+    return {"stated": 1, "scaled": 3, "scatter": dimensions + 2}[basis]
+
+
+def centre_of(values: Floats, covariances: Floats, basis: Basis) -> Centre:
+    """Return what runs (…, m, p) with covariances (m, p, p) say of the block and of u.
+
+    Raises `CalibrationError` where they are fewer than the basis needs.
+    """
+    runs, p = values.shape[-2:]
+    if runs < (least := least_runs(basis, p)):
+        raise CalibrationError(
+            f"limits from '{basis}' need a baseline of {least} runs for {p} coefficients, and there are {runs}; "
+            "measure the check block more often, or let the limits be from 'stated'"
+        )
+    if basis == "scatter":
+        mean = values.mean(axis=-2)
+        left = values - mean[..., None, :]
+        sample = np.swapaxes(left, -1, -2) @ left / (runs - 1)
+        one = np.ones(values.shape[:-2])
+        return Centre(mean, np.zeros((p, p)), one, runs - 1.0, runs, sample)
+    weights = np.linalg.inv(covariances)
+    covariance = np.linalg.inv(weights.sum(axis=0))
+    mean = np.einsum("...mp,mpq->...q", values, weights) @ covariance
+    left = values - mean[..., None, :]
+    if basis == "stated":
+        return Centre(mean, covariance, np.ones(values.shape[:-2]), np.inf, runs)
+    dof = p * (runs - 1.0)
+    scale = np.einsum("...mp,mpq,...mq->...", left, weights, left) / dof
+    return Centre(mean, covariance, scale, dof, runs)
+
+
+def judge(
+    centre: Centre,
+    values: Floats,
+    covariances: Floats,
+    smoothing: float = 1.0,
+    shared: Floats | None = None,
+    *,
+    settled: bool = False,
+) -> Judged:
+    """Judge runs (…, n, p), in their order, with covariances (n, p, p) against a centre.
+
+    With `smoothing` below 1 it is their EWMA, Z_t = smoothing r_t + (1 - smoothing) Z_{t-1} of the deviations r
+    from the centre, Z_0 = 0. `shared` (n, p, q) is what errors of unit u, the same in all runs, add to each of
+    them. `settled` takes the variance at which the EWMA ends up from the first value on, as published tables do.
+    """
+    weight = 1.0 - smoothing
+    deviation = _filtered(values - centre.value[..., None, :], smoothing, weight, -2)
+    count = np.arange(1, values.shape[-2] + 1)
+    of_centre = np.ones(len(count)) if settled else 1.0 - weight**count
+    ended = smoothing / (2.0 - smoothing)
+    if centre.scatter is not None:
+        of_values = np.full(len(count), ended) if settled else ended * (1.0 - weight ** (2 * count))
+        total = of_values + of_centre**2 / centre.runs
+        covariance = total[:, None, None] * centre.scatter[..., None, :, :]
+    else:
+        random = ended * covariances if settled else _filtered(covariances, smoothing**2, weight**2, 0)
+        random = random + of_centre[:, None, None] ** 2 * centre.covariance
+        covariance = random
+    scale = centre.scale[..., None]
+    if shared is not None:
+        # these errors are as they are stated, whatever the baseline says of those that come anew
+        common = _filtered(shared, smoothing, weight, 0)
+        covariance = scale[..., None, None] * covariance + common @ np.swapaxes(common, -1, -2)
+        scale = np.ones_like(scale)
+    unscaled = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    weights = np.linalg.inv(covariance / (unscaled[..., :, None] * unscaled[..., None, :]))
+    u = unscaled * np.sqrt(scale)[..., None]
+    z = deviation / u
+    t2 = np.sum((z[..., None, :] @ weights)[..., 0, :] * z, axis=-1)
+    return Judged(deviation, u, z, centre.p_single(z), t2, centre.p_joint(t2))
+
+
+def without_one(values: Floats, covariances: Floats, basis: Basis) -> Floats | None:
+    """Return how probable each run (m, p) of a baseline is beside the others, (m,); None where these are too
+    few."""
+    runs, p = values.shape
+    if runs - 1 < least_runs(basis, p) or runs < 2:
+        return None
+    found = []
+    for k in range(runs):
+        rest = np.arange(runs) != k
+        centre = centre_of(values[rest], covariances[rest], basis)
+        found.append(float(judge(centre, values[[k]], covariances[[k]]).p_joint[0]))
+    return np.array(found)
+
+
+def _filtered(values: Floats, gain: float, weight: float, axis: int) -> Floats:
+    """Return y_t = gain x_t + weight y_{t-1} along an axis."""
+    filtered: Any = signal.lfilter([gain], [1.0, -weight], values, axis=axis)
+    return np.asarray(filtered)
+
+
+STATISTICS: Final = 3
+"""What rejects a run: T² of the run, T² of the EWMA, and its short-term standard deviation."""
+DEFAULT_ARL: Final = 370.0
+DEFAULT_SMOOTHING: Final = 0.2
+
+
+@dataclass(frozen=True)
+class Design:
+    """The average run length between false alarms of the whole, the smoothing of the EWMA, what limits are from.
+
+    A rate is shared in equal parts by the three statistics that reject: for rare alarms their rates add up.
+    """
+
+    arl: float = DEFAULT_ARL
+    smoothing: float = DEFAULT_SMOOTHING
+    basis: Basis = "scaled"
+
+    @property
+    def each_arl(self) -> float:
+        """The average run length of each of the three statistics by itself."""
+        return STATISTICS * self.arl
+
+    @property
+    def alpha(self) -> float:
+        """How often T² of a run, and its short-term standard deviation, are each beyond their limit by chance."""
+        return 1.0 / self.each_arl
+
+    def alpha_ewma(self, dimensions: int) -> float:
+        """How often T² of the EWMA is beyond the limit that has its run length, at any one run, by chance."""
+        return float(special.chdtrc(dimensions, mewma_limit(self.smoothing, self.each_arl, dimensions)))
+
+    def alpha_single(self, dimensions: int) -> float:
+        """The same of one coefficient among so many: their chart has the run length of T²."""
+        return self.alpha / dimensions
+
+    def alpha_single_ewma(self, dimensions: int) -> float:
+        """The same of the EWMA of one coefficient among so many."""
+        k = ewma_k(self.smoothing, self.each_arl * dimensions)
+        return float(2.0 * special.ndtr(-k))
+
+
+ALIKE_P = 0.01
+"""Baseline and stated u contradict one another where chance would show as much less often than this."""
+
+
+@dataclass(frozen=True)
+class ShortTerm:
+    """Standard deviations of short term (n,) with `dof` (n,), against `pooled` of the baseline with `pooled_dof`.
+
+    `f` is the square of their ratio, `p` the probability of more by chance (F test, one-sided).
+    """
+
+    s: Floats
+    dof: Floats
+    pooled: float
+    pooled_dof: float
+    f: Floats
+    p: Floats
+
+    def limits(self, probability: float) -> Floats:
+        """Return the largest standard deviation (n,) that chance shows more often than a probability."""
+        return np.asarray(
+            self.pooled
+            * np.sqrt(special.fdtri(np.maximum(self.dof, 1.0), self.pooled_dof, 1.0 - probability))
+        )
+
+
+def short_term(s: Floats, dof: Floats, baseline_s: Floats, baseline_dof: Floats) -> ShortTerm:
+    """Compare standard deviations with those of a baseline, pooled by their degrees of freedom.
+
+    Source: NIST/SEMATECH e-Handbook, 2.2.3.1 and 2.3.5.1.
+    """
+    pooled_dof = float(baseline_dof.sum())
+    pooled = float(np.sqrt((baseline_dof @ baseline_s**2) / pooled_dof))
+    f = (s / pooled) ** 2
+    # what has no degrees of freedom is no estimate: nothing can be said of it
+    p = np.where(dof > 0, special.fdtrc(np.maximum(dof, 1.0), pooled_dof, f), 1.0)
+    return ShortTerm(s, dof, pooled, pooled_dof, f, p)
+
+
+@dataclass(frozen=True)
+class Components:
+    """The variability of each coefficient (p,) in a baseline of `runs` runs.
+
+    `noise` is what reading noise makes of it (level 1), `stated` the u of one run from everything that comes anew
+    with it; `scatter` is the standard deviation between runs, with `runs` - 1 degrees of freedom, `f` the square of
+    its ratio to `stated` and `p` the probability of more by chance, `between` what it holds beyond stated u, and
+    `between_most` the most that it may hold (95 %). `birge2` is the same ratio of all coefficients together, with
+    `birge_dof` and two-sided `birge_p`; `alike_p` tells whether stated u is as right in every direction.
+    """
+
+    runs: int
+    noise: Floats
+    stated: Floats
+    scatter: Floats
+    f: Floats
+    p: Floats
+    between: Floats
+    between_most: Floats
+    birge2: float
+    birge_dof: int
+    birge_p: float
+    alike_p: float
+
+    @property
+    def more_than_stated(self) -> Floats:
+        """Probabilities (p,) for so many looks: Bonferroni over the coefficients."""
+        return np.minimum(1.0, len(self.p) * self.p)
+
+
+def components_of(values: Floats, covariance: Floats, noise: Floats) -> Components:
+    """Return the components of a baseline (m, p), m above 1, of which each run has `covariance` (p, p)."""
+    runs, p = values.shape
+    left = values - values.mean(axis=0)
+    stated, scatter = u_of(covariance), values.std(axis=0, ddof=1)
+    f = (scatter / stated) ** 2
+    excess = np.maximum(0.0, scatter**2 - stated**2)
+    # a variance found from few runs may be so much larger than it seems
+    largest = (runs - 1) * scatter**2 / special.chdtri(runs - 1, 0.95)
+    scale, axes = np.linalg.eigh(covariance / np.outer(stated, stated))
+    squares = ((left / stated) @ axes / np.sqrt(scale)) ** 2
+    ratio = squares.sum(axis=0) / (runs - 1)
+    total, dof = float(squares.sum()), p * (runs - 1)
+    upper = float(special.chdtrc(dof, total))
+    return Components(
+        runs=runs,
+        noise=noise,
+        stated=stated,
+        scatter=scatter,
+        f=f,
+        p=np.asarray(special.chdtrc(runs - 1, (runs - 1) * f)),
+        between=np.sqrt(excess),
+        between_most=np.sqrt(np.maximum(0.0, largest - stated**2)),
+        birge2=total / dof,
+        birge_dof=dof,
+        birge_p=2.0 * min(upper, 1.0 - upper),
+        alike_p=_bartlett(ratio, runs - 1),
+    )
+
+
+def _bartlett(variances: Floats, dof: int) -> float:
+    """Return the probability of variances (p,), each with `dof`, so different by chance."""
+    p = len(variances)
+    gap = p * dof * np.log(variances.mean()) - dof * np.log(variances).sum()
+    return float(special.chdtrc(p - 1, gap / (1.0 + (p + 1.0) / (3.0 * p * dof))))
+
+
+@dataclass(frozen=True)
+class DriftSeen:
+    """How each coefficient (p,) of the check block drifts: `per_year` with `u`, `p` for so many looks."""
+
+    per_year: Floats
+    u: Floats
+    p: Floats
+
+
+def drift_of(years: Floats, values: Floats, u: Floats, dof: float) -> DriftSeen:
+    """Return straight lines through coefficients (n, p) at times (n,), each value with u (p,) of `dof`."""
+    centred = years - years.mean()
+    spread = float(centred @ centred)
+    slope = centred @ values / spread
+    u_slope = u / np.sqrt(spread)
+    t = np.abs(slope / u_slope)
+    p = special.erfc(t / np.sqrt(2.0)) if np.isinf(dof) else 2.0 * special.stdtr(dof, -t)
+    return DriftSeen(slope, u_slope, np.minimum(1.0, len(slope) * np.asarray(p)))

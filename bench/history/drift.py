@@ -1,0 +1,423 @@
+"""Drift of coefficients between calibrations, and the day when a block is due again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from bench.base.arrays import Floats, Ints, Mask
+from bench.base.numbers import finite_or_none
+from bench.calibration.conformity import COVERAGE_FACTOR
+from bench.calibration.result import CalibrationError
+from bench.history.comparison import LEAST_FOR_DRIFT, LEAST_SPAN, SECONDS_PER_YEAR
+from bench.model.block import COEFFICIENTS
+
+Dates = NDArray[np.datetime64]
+
+SHOWN_P: Final = 0.05
+"""A rate is shown when chance makes one so large, in any of the twelve, less often than this."""
+GRID: Final = 14
+LEAST_SIZE: Final = 0.02
+"""Sizes below this part of their scale are as good as none."""
+MOST_SIZE: Final = 30.0
+PRIOR_DOF: Final = 3.0
+PRIOR_WIDTH: Final = (1.0, 4.0)
+"""Of the priors of scatter and walk, in their scales: what is left of a walk about a line is a part of it."""
+FORGOTTEN: Final = 12.0
+"""Sizes whose logarithmic density is so far below the greatest do not count."""
+LEVEL: Final = 0.95
+PRODUCTS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+"""Of values, and of the two columns of a line, with one another."""
+
+
+@dataclass(frozen=True)
+class UnitDrift:
+    """What n calibrations of one block tell of its drift; arrays are (12,), in the order of `COEFFICIENTS`.
+
+    `rate` with `u_rate` per year; `between` the scatter between calibrations beyond their stated u and `walk` the
+    random walk in a year, 1 sigma, as the restricted likelihood has them (0: none is shown), each below its
+    `…_most` with 95 %. `first` and `last` are the dates of the calibrations, `count` their number. `p_all_looks`
+    is the probability of such a rate by chance in any of twelve (Bonferroni). Predictions are made of `states`.
+    """
+
+    rate: Floats
+    u_rate: Floats
+    p_all_looks: Floats
+    between: Floats
+    between_most: Floats
+    walk: Floats
+    walk_most: Floats
+    first: np.datetime64
+    last: np.datetime64
+    count: int
+    states: States
+    common: Floats
+
+    @property
+    def shown(self) -> Mask:
+        """Which coefficients drift at a rate beyond its uncertainty, shape (12,)."""
+        return self.p_all_looks < SHOWN_P
+
+    def predicted(self, date: np.datetime64 | Dates) -> tuple[Floats, Floats]:
+        """Return the values expected at dates (…) and their standard uncertainties, (…, 12) each.
+
+        u is that of the coefficient as an errorless calibration would find it on that day: scatter between
+        calibrations is in it. Raises `CalibrationError` for a date before the last calibration.
+        """
+        days = np.asarray(date, dtype="datetime64[s]")
+        years = (days - self.first.astype("datetime64[s]")).astype(float).ravel() / SECONDS_PER_YEAR
+        if not np.all(years >= self.states.last_year - 1e-9):
+            raise CalibrationError(
+                f"a history foretells what comes after its last calibration ({self.last.astype('datetime64[D]')}); "
+                f"asked for {days.min().astype('datetime64[D]')}"
+            )
+        value, variance = self.states.predicted(years)
+        shape = (*days.shape, len(self.rate))
+        return value.reshape(shape), np.sqrt(variance + self.common**2).reshape(shape)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result: rates and sizes per year by coefficient."""
+        rows = zip(
+            COEFFICIENTS, self.rate, self.u_rate, self.p_all_looks, self.shown, self.between, self.between_most,
+            self.walk, self.walk_most, strict=True,
+        )  # fmt: skip
+        return {
+            "calibrations": self.count,
+            "first": str(self.first.astype("datetime64[D]")),
+            "last": str(self.last.astype("datetime64[D]")),
+            "per_year": {
+                name: {
+                    "value": float(rate),
+                    "u": float(u),
+                    "p_all_looks": finite_or_none(float(p)),
+                    "shown": bool(shown),
+                    "between_calibrations": {"value": float(between), "at_most": float(most)},
+                    "random_walk": {"value": float(walk), "at_most": float(walk_most)},
+                }
+                for name, rate, u, p, shown, between, most, walk, walk_most in rows
+            },
+        }
+
+
+@dataclass(frozen=True)
+class States:
+    """What is known at the last calibration, for each coefficient and pair of sizes: (12, m) but for the last axes.
+
+    `weight` sums to 1 over m; `between` and `walk` are variances (per year); `line` (12, m, 2) level and rate with
+    `covariance` (12, m, 2, 2); `walked` (12, m) what the walk has come to, `columns` (12, m, 2) that of the
+    columns of the line, `left` (12, m) its variance. `last_year` counts from the first calibration.
+    """
+
+    last_year: float
+    weight: Floats
+    between: Floats
+    walk: Floats
+    line: Floats
+    covariance: Floats
+    walked: Floats
+    columns: Floats
+    left: Floats
+
+    @cached_property
+    def _foretold(self) -> tuple[Floats, Floats]:
+        """Coefficients, over all sizes, of mean (2, 12) and variance (3, 12) in powers of years from the last.
+
+        At each pair of sizes the mean is a line in time, and its variance a parabola.
+        """
+        at = np.stack([1.0 - self.columns[..., 0], self.last_year - self.columns[..., 1]], axis=-1)
+        slope = self.line[..., 1]
+        value = np.sum(at * self.line, axis=-1) + self.walked
+        along = np.sum(self.covariance * at[..., None, :], axis=-1)
+        spread = np.sum(at * along, axis=-1) + self.left + self.between
+        centre = np.sum(self.weight * value, axis=-1), np.sum(self.weight * slope, axis=-1)
+        off, turned = value - centre[0][:, None], slope - centre[1][:, None]
+        powers = (
+            spread + off**2,
+            2.0 * along[..., 1] + self.walk + 2.0 * off * turned,
+            self.covariance[..., 1, 1] + turned**2,
+        )
+        return np.array(centre), np.array([np.sum(self.weight * one, axis=-1) for one in powers])
+
+    def predicted(self, years: Floats) -> tuple[Floats, Floats]:
+        """Return mean and variance (d, 12) at years (d,) since the first calibration."""
+        further = (years - self.last_year)[:, None]
+        mean, variance = self._foretold
+        return mean[0] + further * mean[1], variance[0] + further * (variance[1] + further * variance[2])
+
+    @property
+    def rate(self) -> tuple[Floats, Floats]:
+        """Mean and variance (12,) of the rate, per year."""
+        mean, variance = self._foretold
+        return mean[1], variance[2]
+
+
+def unit_drift(when: Dates, vector: Floats, covariance: Floats, common: Floats | None = None) -> UnitDrift:
+    """Return what calibrations `vector` (n, 12) of one block, at `when` (n,) in any order, tell of its drift.
+
+    `covariance` (n, 12, 12) are their stated ones. `common` (12,) are standard uncertainties, as part of the stated
+    ones, of what is alike in all of them, as the gain of the same meters: it moves no rate, and no number of
+    calibrations makes it smaller. Raises `CalibrationError` for fewer than three calibrations, or all of one day.
+    """
+    return history_drift(when, vector, np.diagonal(covariance, axis1=1, axis2=2), common)
+
+
+def history_drift(when: Dates, values: Floats, variance: Floats, common: Floats | None = None) -> UnitDrift:
+    """Return the drift of any m sizes, `values` (n, m) with `variance` (n, m), in place of the twelve; as above."""
+    order = np.argsort(when, kind="stable")
+    dates = np.asarray(when, dtype="datetime64[s]")[order]
+    seconds = (dates - dates[0]).astype(float) if len(dates) else np.zeros(0)
+    if len(dates) < LEAST_FOR_DRIFT or seconds[-1] < LEAST_SPAN.total_seconds():
+        raise CalibrationError(
+            f"a drift needs {LEAST_FOR_DRIFT} calibrations or more over more than a day; there are {len(dates)}"
+        )
+    alike = np.zeros(values.shape[1]) if common is None else np.asarray(common, dtype=float)
+    stated = variance[order]
+    own = np.maximum(stated - alike**2, 1e-6 * stated)
+    years = seconds / SECONDS_PER_YEAR
+    history = _History(years, np.asarray(values, dtype=float)[order], own)
+    states, sizes = history.known()
+    rate, variance_of_rate = states.rate
+    p = special.erfc(np.abs(rate) / np.sqrt(2.0 * variance_of_rate))
+    return UnitDrift(
+        rate=rate, u_rate=np.sqrt(variance_of_rate), p_all_looks=np.minimum(1.0, len(rate) * p),
+        between=sizes[0], between_most=sizes[1], walk=sizes[2], walk_most=sizes[3],
+        first=dates[0], last=dates[-1], count=len(dates), states=states, common=alike,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _History:
+    """Values `y` (n, 12) with variances `own` (n, 12) at rising `years` (n,) since the first."""
+
+    years: Floats
+    y: Floats
+    own: Floats
+
+    @cached_property
+    def _scales(self) -> tuple[Floats, Floats]:
+        """Scales (12,) of scatter, and of the walk in the root of a year."""
+        line = np.stack([np.ones_like(self.years), self.years], axis=1)
+        left = self.y - line @ np.linalg.lstsq(line, self.y, rcond=None)[0]
+        scatter = np.sqrt(np.median(self.own, axis=0) + np.sum(left**2, axis=0) / (len(self.y) - 2))
+        return scatter, scatter / np.sqrt(self.years[-1] / (len(self.y) - 1))
+
+    def known(self) -> tuple[States, tuple[Floats, Floats, Floats, Floats]]:
+        """Return the states, and REML and upper limit of scatter and walk, (12,) each."""
+        lowest = np.full((2, self.y.shape[1]), np.log(LEAST_SIZE))
+        highest = np.full_like(lowest, np.log(MOST_SIZE))
+        for _ in range(2):
+            nodes = np.linspace(lowest, highest, GRID, axis=-1)
+            states, density, likelihood = self._at(nodes)
+            lowest, highest = _within(nodes, density)
+        between, walk = (np.exp(nodes[j]) * self._scales[j][:, None] for j in (0, 1))
+        found = []
+        best = likelihood.reshape(self.y.shape[1], -1).argmax(axis=1)
+        share = states.weight.reshape(density.shape)
+        for sizes, index, along in ((between, best // GRID, 2), (walk, best % GRID, 1)):
+            found.append(np.where(index == 0, 0.0, _taken(sizes, index)))
+            found.append(_taken(sizes, np.argmax(np.cumsum(share.sum(axis=along), axis=1) >= LEVEL, axis=1)))
+        return states, (found[0], found[1], found[2], found[3])
+
+    def _at(self, nodes: Floats) -> tuple[States, Floats, Floats]:
+        """Filter at all pairs of logarithmic sizes (2, 12, g): states, log density and likelihood (12, g, g)."""
+        scatter, step = self._scales
+        between = np.exp(2 * nodes[0]) * scatter[:, None] ** 2
+        walk = np.exp(2 * nodes[1]) * step[:, None] ** 2
+        tau = np.repeat(between, GRID, axis=1)
+        q = np.tile(walk, (1, GRID))
+        squares, logs, walked, left = self._filtered(tau, q)
+        precision = squares[:, :, 1:, 1:]
+        covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
+        line = np.einsum("kmce,kme->kmc", covariance, squares[:, :, 1:, 0])
+        misfit = squares[:, :, 0, 0] - np.einsum("kmc,kmc->km", line, squares[:, :, 1:, 0])
+        likelihood = -0.5 * (logs + np.linalg.slogdet(precision)[1] + misfit)
+        prior = [
+            n - 0.5 * (PRIOR_DOF + 1) * np.log1p(np.exp(2 * n) / (PRIOR_DOF * width**2))
+            for n, width in zip(nodes, PRIOR_WIDTH, strict=True)
+        ]
+        shape = (self.y.shape[1], GRID, GRID)
+        density = likelihood.reshape(shape) + prior[0][:, :, None] + prior[1][:, None, :]
+        heights = np.exp(density - density.max(axis=(1, 2), keepdims=True)).reshape(tau.shape)
+        weight = heights / heights.sum(axis=1, keepdims=True)
+        gone = walked[:, :, 0] - np.einsum("kmc,kmc->km", walked[:, :, 1:], line)
+        columns = walked[:, :, 1:]
+        # the walk of the columns is taken off by `columns`, so that of the values stands alone
+        states = States(
+            float(self.years[-1]), weight, tau, q, line, covariance,
+            gone + np.einsum("kmc,kmc->km", columns, line), columns, left,
+        )  # fmt: skip
+        return states, density, likelihood.reshape(shape)
+
+    def _filtered(self, tau: Floats, q: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Run the filter of the walk over values and columns of the line, for variances (12, m).
+
+        Return sums of squares and products of whitened innovations (12, m, 3, 3), the sum of logarithms of their
+        variances, the walk of each (12, m, 3), and its variance (12, m).
+        """
+        # component by component: arrays (12, m) that stay in the processor's cache
+        walked = [np.zeros_like(tau) for _ in range(3)]
+        left, logs = np.zeros_like(tau), np.zeros_like(tau)
+        sums = [np.zeros_like(tau) for _ in PRODUCTS]
+        before = 0.0
+        for year, y, own in zip(self.years, self.y, self.own, strict=True):
+            left = left + q * (year - before)
+            before = year
+            spread = left + own[:, None] + tau
+            inverse = 1.0 / spread
+            seen = [y[:, None] - walked[0], 1.0 - walked[1], year - walked[2]]
+            weighed = [one * inverse for one in seen]
+            for k, (i, j) in enumerate(PRODUCTS):
+                sums[k] += seen[i] * weighed[j]
+            logs += np.log(spread)
+            for k, one in enumerate(weighed):
+                walked[k] += left * one
+            left = left - left * inverse * left
+        squares = np.zeros((*tau.shape, 3, 3))
+        for total, (i, j) in zip(sums, PRODUCTS, strict=True):
+            squares[..., i, j] = squares[..., j, i] = total
+        return squares, logs, np.stack(walked, axis=-1), left
+
+
+def _within(nodes: Floats, density: Floats) -> tuple[Floats, Floats]:
+    """Return the ends (2, 12) of the nodes that count, and a node more to each side."""
+    top = density.max(axis=(1, 2), keepdims=True)
+    counts = density > top - FORGOTTEN
+    ends: list[Floats] = []
+    for pick in (0, -1):
+        for j, other in ((0, 2), (1, 1)):
+            some = counts.any(axis=other)
+            first = some.argmax(axis=1) if pick == 0 else GRID - 1 - some[:, ::-1].argmax(axis=1)
+            further = np.clip(first + (-1 if pick == 0 else 1), 0, GRID - 1)
+            ends.append(_taken(nodes[j], further))
+    return np.stack(ends[:2]), np.stack(ends[2:])
+
+
+def _taken(values: Floats, index: Ints) -> Floats:
+    """Return one of each row of values (12, g)."""
+    return np.take_along_axis(values, index[:, None], axis=1)[:, 0]
+
+
+DIRECTIONS: Final[Floats] = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+"""Of specific force, shape (26, 3), not of length one."""
+MOST_YEARS: Final = 20.0
+"""A history does not foretell further."""
+STEPS: Final = (92, 7, 1)
+"""Days between looks for the day that is due, each within the one before."""
+DAY: Final = np.timedelta64(1, "D")
+
+
+@dataclass(frozen=True)
+class Due:
+    """When a block is due: `date`, by `basis`, "drift" or "interval", with `why`.
+
+    `predicted_g` is the expanded error expected on that day, `now_g` on the day of the last calibration, in local
+    g, None where only the interval speaks; `count` the calibrations that told it, `last` the day of the last.
+    """
+
+    date: np.datetime64
+    basis: str
+    why: str
+    last: np.datetime64
+    count: int
+    limit_g: float
+    now_g: float | None = None
+    predicted_g: float | None = None
+    simulated: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result."""
+        return {
+            "due": str(self.date.astype("datetime64[D]")),
+            "basis": self.basis,
+            "why": self.why,
+            "last": str(self.last.astype("datetime64[D]")),
+            "calibrations": self.count,
+            "limit_g": self.limit_g,
+            "error_at_last_g": self.now_g,
+            "error_when_due_g": self.predicted_g,
+            "simulated": self.simulated,
+        }
+
+
+def due(
+    when: Dates,
+    vector: Floats,
+    covariance: Floats,
+    limit_g: float,
+    interval_days: float,
+    u_meters: Floats | None = None,
+    *,
+    simulated: bool = False,
+) -> Due:
+    """Return when a block is due again that was calibrated at `when` (n,) with `vector` (n, 12) per one g.
+
+    `covariance` (n, 12, 12) are the stated ones; `u_meters` (n, 12) is the part of u that the same meters bring
+    again, None where other meters read. `limit_g` is the error allowed, in g, at 1 g in any direction.
+    `interval_days` counts where there is no history to speak of, and is said to. Raises `CalibrationError` where
+    there is no calibration, or the last has a K without inverse.
+    """
+    if len(when) == 0:
+        raise CalibrationError("no calibration with a date tells when it is due")
+    order = np.argsort(when, kind="stable")
+    dates, values, known = when[order], vector[order], covariance[order]
+    last = dates[-1]
+    by_interval = last + np.timedelta64(round(interval_days * 86400), "s")
+    seen = sensitivities(values[-1])
+    errors = (values - values[-1]) @ seen.T
+    common = None if u_meters is None else np.sqrt(np.min(u_meters[order] ** 2, axis=0) @ (seen.T**2))
+    try:
+        drift = history_drift(dates, errors, np.einsum("dj,njk,dk->nd", seen, known, seen), common)
+    except CalibrationError as error:
+        why = f"{error}: the interval of {interval_days:g} days counts"
+        return Due(by_interval, "interval", why, last, len(dates), limit_g, simulated=simulated)
+    now = float(_expanded(drift, np.array([last]))[0])
+    if now >= limit_g:
+        why = (
+            f"the last calibration leaves an error of {now:.2g} g (k = {COVERAGE_FACTOR:g}), more than the "
+            f"{limit_g:.2g} g allowed: no interval keeps it"
+        )
+        return Due(last, "drift", why, last, len(dates), limit_g, now, now, simulated)
+    day, error_g = _first_day(drift, last.astype("datetime64[D]"), limit_g)
+    why = (
+        f"the error expected reaches {limit_g:.2g} g then (k = {COVERAGE_FACTOR:g})"
+        if error_g >= limit_g
+        else f"{MOST_YEARS:g} years on the error expected is still {error_g:.2g} g: no history foretells further"
+    )
+    return Due(day, "drift", why, last, len(dates), limit_g, now, error_g, simulated)
+
+
+def _first_day(drift: UnitDrift, last: np.datetime64, limit_g: float) -> tuple[np.datetime64, float]:
+    """Return the first day after the last on which the error reaches the limit, to within a step of `STEPS`."""
+    begin, end = 0, round(MOST_YEARS * 365.25)
+    for step in STEPS:
+        days = np.unique(np.append(np.arange(begin + step, end, step), end))
+        error_g = _expanded(drift, last + days * DAY)
+        reached = int(np.argmax(error_g >= limit_g)) if np.any(error_g >= limit_g) else len(days) - 1
+        begin, end = int(days[reached - 1]) if reached else begin, int(days[reached])
+    return last + end * DAY, float(error_g[reached])
+
+
+def sensitivities(vector: Floats) -> Floats:
+    """Return what a change of each coefficient does to 1 g measured along each direction, shape (26, 12).
+
+    Raises `CalibrationError` for a K without inverse.
+    """
+    along = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+    try:
+        weights = along @ np.linalg.inv(vector[:9].reshape(3, 3))
+    except np.linalg.LinAlgError:
+        raise CalibrationError("the last calibration has a K without inverse") from None
+    of_k = np.einsum("da,db->dab", weights, along).reshape(len(along), 9)
+    return np.concatenate([of_k, weights], axis=1)
+
+
+def _expanded(drift: UnitDrift, days: Dates) -> Floats:
+    """Return |mean| + k u of the worst direction on each day, g."""
+    mean, u = drift.predicted(days)
+    return np.asarray(np.max(np.abs(mean) + COVERAGE_FACTOR * u, axis=-1))

@@ -1,0 +1,427 @@
+"""Bench or block: effects of units and benches in all twelve coefficients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy import special
+
+from bench.base.arrays import Floats, Ints, Labels, rms, u_of
+from bench.base.numbers import finite_or_none
+from bench.calibration.result import CalibrationError
+from bench.history.intercomparison.crossed import (
+    BENCH,
+    EXCESS,
+    UNIT,
+    Crossed,
+    Crossing,
+    about_sets,
+    fit,
+    most,
+    scales_of,
+    solve,
+)
+from bench.history.intercomparison.measured import Measured, coded
+from bench.model.block import COEFFICIENTS
+from bench.stats.multiple_testing import holm
+
+FLAT: Final = 1e3
+"""A size so many times the scatter is as good as none stated."""
+
+
+@dataclass(frozen=True)
+class Allotment:
+    """Whether units came to benches by chance: `chi2` with `dof`, of differences between benches by two ways.
+
+    The first takes differences within units alone, the second the means of all units too; a bench that is given
+    units of another kind is off in the second only. Source: J. A. Hausman, Econometrica 46 (1978) 1251.
+    """
+
+    chi2: float
+    dof: int
+
+    @property
+    def p(self) -> float:
+        """The probability of so much where units came by chance."""
+        return float(special.chdtrc(self.dof, self.chi2)) if self.dof else 1.0
+
+
+def allotment(found: Crossed) -> Allotment:
+    """Hold the differences between benches within units against those that means of units give as well."""
+    at = found.at
+    crossing = at.crossing
+    wide = found.sizes.copy()
+    wide[BENCH] = FLAT * scales_of(crossing, found.y, found.variance)[BENCH]
+    both = solve(crossing, found.y, found.variance, wide)
+    wide[UNIT] = np.inf
+    within = solve(crossing, found.y, found.variance, wide)
+    about = about_sets(crossing)
+    gap = about @ (within.bench - both.bench)
+    more = about @ (within.bench_covariance - both.bench_covariance) @ about.T
+    size, along = np.linalg.eigh(more)
+    told = size > 1e-6 * max(float(size.max(initial=0.0)), 1e-300)
+    return Allotment(float(np.sum((along.T[told] @ gap) ** 2 / size[told])), int(told.sum()))
+
+
+SHOWN_P: Final = 0.05
+"""Something is shown when chance makes as much, in any of the looks, less often than this."""
+ALLOTTED_P: Final = 0.01
+LITTLE_SCATTER_P: Final = 0.01
+WELL_KNOWN: Final = 0.15
+"""Sizes of a smaller relative u have limits by it; others by the profile of the likelihood."""
+ONE_SIDED: Final = 1.645
+
+
+@dataclass(frozen=True)
+class Size:
+    """A size, 1 sigma, its standard uncertainty (NaN where it is zero), and what it is below with 95 %.
+
+    `p_all_looks` is the probability of so much likelihood gained by chance, over the twelve; NaN where not asked.
+    """
+
+    value: float
+    u: float
+    most: float
+    p_all_looks: float = float("nan")
+
+    @property
+    def shown(self) -> bool:
+        """Whether it is there beyond chance."""
+        return self.p_all_looks < SHOWN_P
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        asked = not np.isnan(self.p_all_looks)
+        return {
+            "value": self.value,
+            "u": finite_or_none(self.u),
+            "at_most": finite_or_none(self.most),
+            **({"p_all_looks": self.p_all_looks, "shown": self.shown} if asked else {}),
+        }
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What the values of one coefficient differ by: between units of a type, benches, in excess, as stated (rms).
+
+    `stated` is what a calibration has of its own, `meters` what the same meters bring again: a part of the bench.
+    `allotment` tells whether units came to benches by chance; where not, size and effects of benches, and the
+    excess, are from differences within units alone. `scatter` is the reduced chi-square of repeated calibrations
+    of a unit on a bench against their stated u, with degrees of freedom.
+    """
+
+    unit: Size
+    bench: Size
+    excess: Size
+    stated: float
+    meters: float
+    allotment: Allotment
+    by_chance: bool
+    scatter: float
+    scatter_dof: int
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """The parts of the variance of one calibration about the mean of its type."""
+        squares = {
+            "unit": self.unit.value**2,
+            "bench": self.bench.value**2,
+            "excess": self.excess.value**2,
+            "stated": self.stated**2,
+        }
+        whole = sum(squares.values())
+        return {name: square / whole for name, square in squares.items()}
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "unit": self.unit.to_json(),
+            "bench": self.bench.to_json(),
+            "excess": self.excess.to_json(),
+            "stated_u_rms": self.stated,
+            "stated_of_meters_rms": self.meters,
+            "shares_of_variance": self.shares,
+            "allotment": {
+                "chi2": self.allotment.chi2,
+                "dof": self.allotment.dof,
+                "p": self.allotment.p,
+                "by_chance": self.by_chance,
+            },
+            "scatter_of_repeats": {"reduced_chi2": finite_or_none(self.scatter), "dof": self.scatter_dof},
+        }
+
+
+@dataclass(frozen=True)
+class Apart:
+    """A unit or bench whose effect on one coefficient stands out from the others'."""
+
+    name: str
+    coefficient: str
+    effect: float
+    u: float
+    p_all_looks: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "name": self.name, "coefficient": self.coefficient, "effect": self.effect, "u": self.u,
+            "p_all_looks": self.p_all_looks,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class BenchOrBlock:
+    """What differs between units, what between benches; effects of benches `effect` and `u` are (B, 12).
+
+    `connected` are the sets of benches that units join: effects are about the mean of a set. A bench that shares no
+    unit with another has none: NaN. `units_apart` are units that stand out of their type.
+    """
+
+    benches: tuple[str, ...]
+    connected: tuple[tuple[str, ...], ...]
+    sizes: tuple[Sizes, ...]
+    effect: Floats
+    u: Floats
+    p_all_looks: Floats
+    units_apart: tuple[Apart, ...]
+    counts: dict[str, int]
+    signal: str
+    simulated: bool
+    notes: tuple[str, ...]
+
+    @property
+    def benches_apart(self) -> tuple[Apart, ...]:
+        """Benches that stand out of their set, the largest first for its uncertainty."""
+        found = [
+            Apart(self.benches[b], COEFFICIENTS[k], float(self.effect[b, k]), float(self.u[b, k]), float(p))
+            for (b, k), p in np.ndenumerate(self.p_all_looks)
+            if p < SHOWN_P
+        ]
+        return tuple(sorted(found, key=lambda one: one.p_all_looks))
+
+    @property
+    def answer(self) -> str:
+        """Whether it is the bench or the block, in a sentence."""
+        if all(len(one) == 1 for one in self.connected):
+            return "bench or block cannot be told: no unit was measured on two benches; measure some on each"
+        shown = [name for name, s in zip(COEFFICIENTS, self.sizes, strict=True) if s.bench.shown]
+        apart = list(dict.fromkeys(one.name for one in self.benches_apart))
+        if not shown and not apart:
+            return "the block: no difference between benches is shown beyond the stated uncertainties"
+        named = f"; {', '.join(apart)} stands out" if len(apart) == 1 else ""
+        named = f"; {', '.join(apart)} stand out" if len(apart) > 1 else named
+        if not shown:
+            return f"the block for the most part{named}"
+        whole = [
+            name for name, s in zip(COEFFICIENTS, self.sizes, strict=True) if s.bench.value > s.unit.value
+        ]
+        more = f", in {', '.join(whole)} more than blocks of a type do" if whole else ""
+        return f"both: benches differ in {', '.join(shown)}{more}{named}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        effects = {}
+        for b, bench in enumerate(self.benches):
+            rows = zip(COEFFICIENTS, self.effect[b], self.u[b], self.p_all_looks[b], strict=True)
+            effects[bench] = None if np.isnan(self.effect[b, 0]) else {
+                name: {"effect": float(e), "u": float(u), "p_all_looks": float(p), "shown": bool(p < SHOWN_P)}
+                for name, e, u, p in rows
+            }  # fmt: skip
+        return {
+            **self.counts,
+            "signal": self.signal,
+            "simulated": self.simulated,
+            "connected": [list(one) for one in self.connected],
+            "coefficients": {n: s.to_json() for n, s in zip(COEFFICIENTS, self.sizes, strict=True)},
+            "benches_effects": effects,
+            "benches_apart": [one.to_json() for one in self.benches_apart],
+            "units_apart": [one.to_json() for one in self.units_apart],
+            "answer": self.answer,
+            "notes": list(self.notes),
+        }
+
+
+def bench_or_block(measured: Measured) -> BenchOrBlock:
+    """Return sizes and effects of units and benches over calibrations of many units on many benches.
+
+    Raises `CalibrationError` where no unit was calibrated twice, or all on one bench.
+    """
+    (kinds, kind), (units, unit), (benches, bench) = (
+        coded(labels) for labels in (measured.kind, _whole_names(measured), measured.bench)
+    )
+    crossing = Crossing(unit, bench, kind)
+    if len(benches) < 2:
+        raise CalibrationError(
+            f"all calibrations were made on one bench ({benches[0]}); there is nothing to compare"
+        )
+    if not crossing.repeated:
+        raise CalibrationError(
+            f"none of {len(units)} units was calibrated twice: units, benches and scatter cannot be told apart"
+        )
+    columns = [
+        _Column(crossing, np.ascontiguousarray(y), np.ascontiguousarray(v))
+        for y, v in zip(measured.vector.T, measured.own_variance.T, strict=True)
+    ]
+    chosen = _chosen(columns)
+    sizes = _sizes(columns, chosen, np.sqrt(np.mean(measured.meters**2, axis=0)))
+    effect, u = (np.stack(part, axis=1) for part in zip(*(_effects(one) for one, _ in chosen), strict=True))
+    effect[crossing.alone()] = np.nan
+    told = ~np.isnan(effect)
+    p = np.full(effect.shape, np.nan)
+    p[told] = holm(special.erfc(np.abs(effect[told]) / np.where(u[told] > 0, u[told], np.inf) / np.sqrt(2.0)))
+    return BenchOrBlock(
+        benches=tuple(benches.tolist()),
+        connected=tuple(
+            tuple(benches[crossing.component == c].tolist()) for c in np.unique(crossing.component)
+        ),
+        sizes=sizes,
+        effect=effect,
+        u=np.where(told, u, np.nan),
+        p_all_looks=p,
+        units_apart=_units_apart([one for one, _ in chosen], columns, units),
+        counts={
+            "calibrations": len(measured), "units": len(units), "benches": len(benches), "types": len(kinds),
+            "units_on_several_benches": int(np.sum(np.bincount(crossing.cells[1]) > 1)),
+        },
+        signal=measured.signal,
+        simulated=measured.simulated,
+        notes=_notes(crossing, benches, sizes),
+    )  # fmt: skip
+
+
+def _whole_names(measured: Measured) -> list[str]:
+    """Return unit and type in one: two types may have the same serial number."""
+    return [
+        unit if unit.startswith(kind) else f"{kind} {unit}"
+        for kind, unit in zip(measured.kind.tolist(), measured.unit.tolist(), strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class _Column:
+    """One coefficient: values and stated variances (n,)."""
+
+    crossing: Crossing
+    y: Floats
+    variance: Floats
+
+    def fit(self, without: int | None = None, *, units_fixed: bool = False) -> Crossed:
+        return fit(self.crossing, self.y, self.variance, without=without, units_fixed=units_fixed)
+
+    def scatter(self) -> tuple[float, int]:
+        """Return reduced chi-square and degrees of freedom of repeats of a unit on a bench."""
+        cell, unit, _ = self.crossing.cells
+        dof = len(cell) - len(unit)
+        w = 1.0 / self.variance
+        mean = np.bincount(cell, w * self.y) / np.bincount(cell, w)
+        chi2 = float(np.sum(w * (self.y - mean[cell]) ** 2))
+        return (chi2 / dof if dof else float("nan")), dof
+
+
+def _chosen(columns: list[_Column]) -> list[tuple[Crossed, Allotment]]:
+    """Return the fit of each column, with units as fixed where they did not come to benches by chance."""
+    found = [column.fit() for column in columns]
+    allotted = [allotment(one) for one in found]
+    p = holm(np.array([one.p for one in allotted]))
+    return [
+        (column.fit(units_fixed=True) if chance < ALLOTTED_P else one, how)
+        for column, one, how, chance in zip(columns, found, allotted, p, strict=True)
+    ]
+
+
+def _sizes(
+    columns: list[_Column], chosen: list[tuple[Crossed, Allotment]], meters: Floats
+) -> tuple[Sizes, ...]:
+    """Return the sizes of all columns, with the probabilities of those of benches and of the excess."""
+    p = {}
+    for which in (BENCH, EXCESS):
+        gained = [
+            one.at.likelihood - column.fit(which, units_fixed=bool(np.isinf(one.sizes[UNIT]))).at.likelihood
+            for column, (one, _) in zip(columns, chosen, strict=True)
+        ]
+        # at the end of its range a size has half of a chi-square of one degree of freedom
+        p[which] = holm(0.5 * special.erfc(np.sqrt(np.maximum(gained, 0.0))))
+    sizes = []
+    for k, (column, (one, how)) in enumerate(zip(columns, chosen, strict=True)):
+        by_chance = bool(np.isfinite(one.sizes[UNIT]))
+        scatter, dof = column.scatter()
+        sizes.append(
+            Sizes(
+                _size(one if by_chance else column.fit(), UNIT),
+                _size(one, BENCH, float(p[BENCH][k])),
+                _size(one, EXCESS, float(p[EXCESS][k])),
+                rms(np.sqrt(column.variance)),
+                float(meters[k]),
+                how,
+                by_chance,
+                scatter,
+                dof,
+            )
+        )
+    return tuple(sizes)
+
+
+def _size(found: Crossed, which: int, p: float = float("nan")) -> Size:
+    value, u = float(found.sizes[which]), float(found.u_sizes[which])
+    limit = value + ONE_SIDED * u if u < WELL_KNOWN * value else most(found, which)
+    return Size(value, u, limit, p)
+
+
+def _effects(found: Crossed) -> tuple[Floats, Floats]:
+    effect, covariance = found.bench
+    return effect, u_of(covariance)
+
+
+def _units_apart(found: list[Crossed], columns: list[_Column], units: Labels) -> tuple[Apart, ...]:
+    rows = []
+    for one, column in zip(found, columns, strict=True):
+        whole = one if np.isfinite(one.sizes[UNIT]) else column.fit()
+        rows.append(whole.unit())
+    score = np.stack([z for _, z in rows], axis=1)
+    p = holm(special.erfc(np.abs(score).ravel() / np.sqrt(2.0))).reshape(score.shape)
+    apart = []
+    for j, k in zip(*np.nonzero(p < SHOWN_P), strict=True):
+        effect = float(rows[k][0][j])
+        apart.append(
+            Apart(str(units[j]), COEFFICIENTS[k], effect, effect / float(score[j, k]), float(p[j, k]))
+        )
+    return tuple(sorted(apart, key=lambda one: one.p_all_looks))
+
+
+def _notes(crossing: Crossing, benches: Labels, sizes: tuple[Sizes, ...]) -> tuple[str, ...]:
+    notes = []
+    alone: Ints = crossing.alone()
+    if len(alone):
+        listed = ", ".join(benches[alone].tolist())
+        notes.append(
+            f"no unit measured on {listed} was measured on another bench: its effect is not known, only the spread "
+            "of its units"
+        )
+    joined = np.bincount(crossing.component)
+    if np.sum(joined > 1) > 1:
+        notes.append(
+            "benches fall into sets that no unit joins: effects are about the mean of each set, and sets are not "
+            "compared"
+        )
+    for words, names in (
+        (
+            "units did not come to benches by chance (differences within units and between their means disagree), "
+            "so that effects of benches are from units measured on several benches alone",
+            [n for n, s in zip(COEFFICIENTS, sizes, strict=True) if not s.by_chance],
+        ),
+        (
+            "repeated calibrations scatter less than their stated uncertainty: parts of it are common to those of "
+            "a bench, and a difference between benches of that size is stated already",
+            [
+                n
+                for n, s in zip(COEFFICIENTS, sizes, strict=True)
+                if s.scatter_dof
+                and special.chdtr(s.scatter_dof, s.scatter * s.scatter_dof) < LITTLE_SCATTER_P
+            ],
+        ),
+    ):
+        if names:
+            notes.append(f"{', '.join(names)}: {words}")
+    return tuple(notes)

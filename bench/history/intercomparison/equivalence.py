@@ -1,0 +1,284 @@
+"""Degrees of equivalence of benches, one coefficient at a time and all twelve together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from scipy import linalg, optimize, special
+
+from bench.base.arrays import Floats, Ints, u_of
+from bench.base.numbers import finite_or_none
+from bench.calibration.conformity import COVERAGE_FACTOR
+from bench.calibration.result import CalibrationError
+from bench.stats.multiple_testing import holm
+
+CONSISTENT_P: Final = 0.05
+"""Values agree with their stated uncertainties where chance gives as much disagreement at least this often."""
+WEIGHTED_MEAN: Final = "weighted mean"
+MANDEL_PAULE: Final = "Mandel-Paule"
+DERSIMONIAN_LAIRD: Final = "DerSimonian-Laird"
+METHODS: Final = (WEIGHTED_MEAN, MANDEL_PAULE, DERSIMONIAN_LAIRD)
+
+
+@dataclass(frozen=True)
+class Participants:
+    """Values `y` (n,) with covariance (n, n) of units `unit` (n,) on benches `bench` (n,), counted from 0."""
+
+    y: Floats
+    covariance: Floats
+    unit: Ints
+    bench: Ints
+
+    @cached_property
+    def Z_unit(self) -> Floats:  # noqa: N802 - the symbol of the field
+        """One column a unit, (n, U)."""
+        return np.eye(int(self.unit.max()) + 1)[self.unit]
+
+    @cached_property
+    def Z_bench(self) -> Floats:  # noqa: N802
+        """One column a bench, (n, B)."""
+        return np.eye(int(self.bench.max()) + 1)[self.bench]
+
+    def with_dark(self, dark: float) -> Floats:
+        """Return the covariance (n, n) where each bench has an error of size `dark` more."""
+        return self.covariance + dark**2 * (self.Z_bench @ self.Z_bench.T)
+
+    @cached_property
+    def between_dof(self) -> int:
+        """Degrees of freedom of differences between benches: their number less that of connected sets."""
+        both = np.linalg.matrix_rank(np.concatenate([self.Z_unit, self.Z_bench], axis=1))
+        return int(both) - int(self.unit.max()) - 1
+
+    def between(self, dark: float) -> Floats:
+        """Return the matrix (n, n) of the quadratic form that measures what benches differ by."""
+        V = self.with_dark(dark)
+        return _left(V, self.Z_unit) - _left(V, np.concatenate([self.Z_unit, self.Z_bench], axis=1))
+
+
+def _left(V: Floats, X: Floats) -> Floats:
+    """Return V^-1 less its part along the columns X (n, p), which may depend on one another."""
+    lower = linalg.cholesky(V, lower=True)
+    whitened = linalg.solve_triangular(lower, X, lower=True)
+    along, size, _ = np.linalg.svd(whitened, full_matrices=False)
+    along = along[:, size > 1e-9 * size[0]]
+    inverse = linalg.solve_triangular(lower, np.eye(len(V)) - along @ along.T, lower=True, trans="T")
+    return np.asarray(linalg.solve_triangular(lower, inverse.T, lower=True, trans="T").T)
+
+
+@dataclass(frozen=True)
+class Equivalence:
+    """The reference value of each unit, and what each bench is off by.
+
+    `reference` (U,) with `u_reference`; `degree` (B,) of equivalence d with `covariance` (B, B), each
+    with its own claim taken at its word, and `dark` the size of what the others may be off by more.
+    `chi2` with `dof` tests the stated uncertainties; `birge` is the root of the reduced chi-square. `map` (B, n)
+    makes the degrees of equivalence of the values.
+    """
+
+    method: str
+    reference: Floats
+    u_reference: Floats
+    degree: Floats
+    covariance: Floats
+    dark: float
+    chi2: float
+    dof: int
+    map: Floats
+
+    @property
+    def p(self) -> float:
+        """The probability of so much disagreement where stated uncertainties are right."""
+        return float(special.chdtrc(self.dof, self.chi2))
+
+    @property
+    def consistent(self) -> bool:
+        """Whether values agree with their stated uncertainties."""
+        return self.p >= CONSISTENT_P
+
+    @property
+    def birge(self) -> float:
+        """Birge ratio."""
+        return float(np.sqrt(self.chi2 / self.dof))
+
+    @property
+    def u_degree(self) -> Floats:
+        """Standard uncertainties (B,) of the degrees of equivalence."""
+        return u_of(self.covariance)
+
+    @property
+    def en(self) -> Floats:
+        """|d| over U(d), k = 2, (B,)."""
+        return np.asarray(np.abs(self.degree) / (COVERAGE_FACTOR * self.u_degree))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what belongs to all benches."""
+        return {
+            "method": self.method,
+            "dark": finite_or_none(self.dark),
+            "chi2": self.chi2,
+            "dof": self.dof,
+            "p": self.p,
+            "consistent": self.consistent,
+            "birge": self.birge,
+        }
+
+
+def equivalence(of: Participants, method: str | None = None) -> Equivalence:
+    """Return reference values and degrees of equivalence by a method, or by Cox's choice where none is named.
+
+    That is the weighted mean where the stated uncertainties pass the test, Mandel-Paule where not. Raises
+    `CalibrationError` where no unit was measured on two benches.
+    """
+    if not of.between_dof:
+        raise CalibrationError(
+            "no unit was measured on two benches, so that no bench is held against another"
+        )
+    plain = _by(of, 0.0, WEIGHTED_MEAN)
+    if method == WEIGHTED_MEAN or (method is None and plain.consistent):
+        return plain
+    dark = {None: mandel_paule, MANDEL_PAULE: mandel_paule, DERSIMONIAN_LAIRD: dersimonian_laird}[method](of)
+    return _by(of, dark, method or MANDEL_PAULE)
+
+
+def mandel_paule(of: Participants) -> float:
+    """Return the dark size at which what benches differ by is as large as its degrees of freedom; 0 for less."""
+
+    def gap(variance: float) -> float:
+        return float(of.y @ of.between(np.sqrt(variance)) @ of.y) - of.between_dof
+
+    if gap(0.0) <= 0.0:
+        return 0.0
+    high = dersimonian_laird(of) ** 2 or float(np.var(of.y))
+    while gap(high) > 0.0:
+        high *= 2.0
+    return float(np.sqrt(optimize.brentq(gap, 0.0, high, xtol=1e-12 * high, rtol=1e-12)))
+
+
+def dersimonian_laird(of: Participants) -> float:
+    """Return the dark size by the moments of what benches differ by; 0 where it is less than expected."""
+    form = of.between(0.0)
+    per_variance = float(np.sum((form @ of.Z_bench) * of.Z_bench))
+    return float(np.sqrt(max(0.0, (float(of.y @ form @ of.y) - of.between_dof) / per_variance)))
+
+
+def _by(of: Participants, dark: float, method: str) -> Equivalence:
+    V = of.with_dark(dark)
+    weighed = linalg.solve(V, of.Z_unit, assume_a="pos")
+    u2 = np.asarray(np.linalg.inv(of.Z_unit.T @ weighed), dtype=np.float64)
+    to_reference = u2 @ weighed.T
+    n, benches = of.Z_bench.shape
+    residual = np.eye(n) - of.Z_unit @ to_reference
+    means = np.zeros((benches, n))
+    for b in range(benches):
+        own = np.flatnonzero(of.bench == b)
+        w = linalg.solve(of.covariance[np.ix_(own, own)], np.ones(len(own)), assume_a="pos")
+        means[b, own] = w / w.sum()
+    degrees = means @ residual
+    # a bench's own claim is taken at its word: the dark size is that of the others
+    own_part = degrees @ of.Z_bench
+    covariance = degrees @ of.covariance @ degrees.T
+    covariance += dark**2 * (own_part @ own_part.T)
+    covariance[np.diag_indices(benches)] -= dark**2 * np.diag(own_part) ** 2
+    plain = _left(of.covariance, of.Z_unit)
+    return Equivalence(
+        method, to_reference @ of.y, u_of(u2), degrees @ of.y, covariance, dark,
+        # values that are all alike leave nothing, and rounding of it
+        max(float(of.y @ plain @ of.y), 0.0), n - of.Z_unit.shape[1], degrees,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two benches on the `units` that both measured: the first less the second, with u, and E_n (k = 2).
+
+    `map` (n,) makes the difference of the values.
+    """
+
+    first: int
+    second: int
+    units: int
+    difference: float
+    u: float
+    map: Floats
+
+    @property
+    def en(self) -> float:
+        """The number E_n."""
+        return abs(self.difference) / (COVERAGE_FACTOR * self.u)
+
+
+def pairs(of: Participants) -> tuple[Pair, ...]:
+    """Hold every two benches against each other on the units that both measured, and on nothing else."""
+    found = []
+    benches = int(of.bench.max()) + 1
+    seen = [set(of.unit[of.bench == b].tolist()) for b in range(benches)]
+    for i in range(benches):
+        for j in range(i + 1, benches):
+            common = sorted(seen[i] & seen[j])
+            if not common:
+                continue
+            rows = np.flatnonzero(np.isin(of.unit, common) & np.isin(of.bench, (i, j)))
+            _, unit = np.unique(of.unit[rows], return_inverse=True)
+            columns = np.column_stack([np.eye(len(common))[unit], of.bench[rows] == i])
+            weighed = linalg.solve(of.covariance[np.ix_(rows, rows)], columns, assume_a="pos")
+            covariance = np.linalg.inv(columns.T @ weighed)
+            to_difference = np.zeros(len(of.y))
+            to_difference[rows] = covariance[-1] @ weighed.T
+            u = float(np.sqrt(covariance[-1, -1]))
+            found.append(Pair(i, j, len(common), float(to_difference @ of.y), u, to_difference))
+    return tuple(found)
+
+
+def of_one_unit(x: Sequence[float] | Floats, u: Sequence[float] | Floats) -> Participants:
+    """Return values (N,) of one unit by N benches, one each, with independent standard uncertainties (N,)."""
+    values = np.asarray(x, dtype=float)
+    variance = np.diag(np.square(np.asarray(u, dtype=float)))
+    return Participants(values, variance, np.zeros(len(values), dtype=np.int64), np.arange(len(values)))
+
+
+APART_P: Final = 0.05
+"""Benches are apart where chance gives any so large a difference less often than this."""
+
+
+@dataclass(frozen=True)
+class Together:
+    """A vector of differences: `chi2` with `dof`; `p` of it alone, and of the largest of all looked at."""
+
+    chi2: float
+    dof: int
+    p: float
+    p_all_looks: float
+
+    @property
+    def apart(self) -> bool:
+        """Whether the benches differ beyond chance."""
+        return self.p_all_looks < APART_P
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "chi2": self.chi2, "dof": self.dof, "p": self.p, "p_all_looks": self.p_all_looks, "apart": self.apart
+        }  # fmt: skip
+
+
+def together(differences: Floats, u: Floats, errors: Floats, of_errors: Floats) -> tuple[Together, ...]:
+    """Judge m vectors of differences (m, 12) with standard uncertainties `u` (m, 12).
+
+    `errors` (m, 12, 12) are covariances of the errors of calibrations, which tell how coefficients are correlated;
+    `of_errors` (m, 12) is the part of u that they make. What u has beyond, such as a dark size, belongs to each
+    coefficient alone.
+    """
+    chi2 = []
+    for d, whole, covariance, own in zip(differences, u, errors, of_errors, strict=True):
+        scale = u_of(covariance)
+        scaled = covariance / np.outer(scale, scale) * np.outer(own, own)
+        scaled[np.diag_indices(len(d))] += np.maximum(whole**2 - own**2, 0.0)
+        chi2.append(float(d / whole @ np.linalg.solve(scaled / np.outer(whole, whole), d / whole)))
+    dof = differences.shape[1]
+    p = np.asarray(special.chdtrc(dof, np.array(chi2)), dtype=np.float64)
+    rows: Sequence[tuple[float, float, float]] = list(zip(chi2, p.tolist(), holm(p).tolist(), strict=True))
+    return tuple(Together(one, dof, alone, looks) for one, alone, looks in rows)

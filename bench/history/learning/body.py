@@ -1,0 +1,388 @@
+"""Runs as sums of squares and products about a bench, and the noise that they share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Final
+
+import numpy as np
+from scipy import special
+
+from bench.base.arrays import HOUR, Floats, Ints, rms
+from bench.calibration import gls
+from bench.calibration.calibrate import first_guess, usable_rows
+from bench.calibration.design import FIXED, Problem, make_problem
+from bench.calibration.known import KnownNoise
+from bench.calibration.noise import Scatter, repeat_groups, scatter_of_repeats, whiten
+from bench.calibration.result import CalibrationError, Noise
+from bench.model.conditions import Conditions
+from bench.model.forward import ForwardModel
+from bench.model.geometry import STAND_ANGLES
+from bench.readings.table import Readings
+from bench.stats.repeats_likelihood import freedom_of, sizes_of
+
+WAVES: Final = 2
+"""Harmonics of the head's circle: its eccentricity and its ellipticity."""
+WALKS: Final = 4
+"""Shapes of a random walk that are kept: those left out have 5 % of its variance."""
+LEAST_SETTINGS: Final = 4
+"""Repeats of settings below which a run tells nothing of the noise."""
+
+
+@dataclass(frozen=True)
+class RunFit:
+    """One run about its own fit.
+
+    `y` (n, 3), `X` (n, 3, 12 and those of effects), `stand` (n, 3, a) by the angles that the stated limits
+    allow, `angles` (a,) their name and installation, `levels` (a, 2) what a level showed of each with u, rad
+    (NaN where none did), `slope` (n, 3) du/dphi, `waves` (n, 3, 2 WAVES), `walk` (n, q) shapes of drift per root
+    hour, `scatter` that of its repeats, `floor` the least noise that is believed.
+    """
+
+    name: str
+    y: Floats
+    X: Floats
+    stand: Floats
+    angles: tuple[tuple[str, str], ...]
+    levels: Floats
+    slope: Floats
+    waves: Floats
+    walk: Floats
+    scatter: Scatter
+    floor: float
+    unit: str
+
+    def noise(self) -> Floats | None:
+        """Return the variances (4,) of x, y, z and the setting from its own repeats; None where those are few."""
+        if self.scatter.settings < LEAST_SETTINGS:
+            return None
+        own = self.scatter
+        return np.asarray(sizes_of(own.matrix[None], own.freedom, own.slope[None], np.array([self.floor]))[0])
+
+
+def run_fit(name: str, readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> RunFit:
+    """Fit one run by itself with the stated limits. Raises `CalibrationError` where that cannot be.
+
+    `stand_u` are the stated standard uncertainties of the stand's angles, rad, those that nobody stated among them.
+    """
+    rows = usable_rows(readings, model)
+    problem = make_problem(model, rows.conditions(), stand_u)
+    start = first_guess(problem, rows.signal, rows.resolution)
+    # about which point a run is made linear is all that this fit decides: any sizes near the noise will do
+    near = Noise(rms(rows.signal - problem.predict(start, problem.prior_mean)), 0.0, np.inf, "given")
+    fit = gls.fit(problem, rows.signal, start, near, rows.resolution)
+    system, phase = fit.system, problem.conditions.angle_rad
+    a = len(problem.stand)
+    by_stand = system.jacobian[:, :, FIXED : FIXED + a]
+    # effects of the model are each run's own here, as its coefficients are: nothing of them passes for the stand's
+    own = np.concatenate([system.jacobian[:, :, :FIXED], system.jacobian[:, :, FIXED + a :]], axis=2)
+    waves = [fit.slope * wave(k * phase)[:, None] for k in range(1, WAVES + 1) for wave in (np.cos, np.sin)]
+    groups = repeat_groups(problem.conditions)
+    return RunFit(
+        name=name,
+        y=fit.residuals + by_stand @ fit.others[:a],
+        X=own,
+        stand=by_stand,
+        angles=_angles(problem),
+        levels=_levels(problem),
+        slope=fit.slope,
+        waves=np.stack(waves, axis=2),
+        walk=_walk(problem.conditions),
+        scatter=scatter_of_repeats(fit.residuals, fit.slope, groups),
+        floor=gls.noise_floor(rows.signal, rows.resolution),
+        unit=readings.unit,
+    )
+
+
+def _angles(problem: Problem) -> tuple[tuple[str, str], ...]:
+    mounts = problem.conditions.mounts
+    return tuple((STAND_ANGLES[s.column], mounts[s.mount].installation) for s in problem.stand)
+
+
+def _levels(problem: Problem) -> Floats:
+    told = [(s.prior_mean, s.prior_u) if s.measured else (np.nan, np.nan) for s in problem.stand]
+    return np.array(told).reshape(-1, 2)
+
+
+def _walk(conditions: Conditions) -> Floats:
+    """Return shapes (n, WALKS) of a random walk of the bias that takes one unit of variance an hour."""
+    hours = conditions.elapsed_s / HOUR
+    shapes = np.zeros((len(hours), WALKS))
+    if np.ptp(hours) > 0:
+        walk = np.minimum.outer(hours, hours) - hours.min()
+        # a run has biases of its own, so that the mean of the walk is nobody's
+        centred = walk - walk.mean(axis=0) - walk.mean(axis=1)[:, None] + walk.mean()
+        size, vectors = np.linalg.eigh(centred)
+        most = min(WALKS, int(np.sum(size > 1e-9 * size[-1])))
+        shapes[:, :most] = vectors[:, ::-1][:, :most] * np.sqrt(size[::-1][:most])
+    return shapes
+
+
+# --- many runs ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Body:
+    """Runs as sums, all of one shape: `gram` (runs, w, w) of W = (B, H, y), zero where a run has fewer columns.
+
+    `random` (runs, c) says which variance each column of B has, -1 for none; `mean` (runs, c) which mean it is
+    of, -1 for none. `waves` is how many columns H has. `chi2` (runs,) and `dof` (runs,) are of what the readings
+    hold beyond the scatter of their repeats, the coefficients and H and B left out of neither: y^T P y less that
+    scatter.
+    """
+
+    names: tuple[str, ...]
+    gram: Floats
+    random: Ints
+    mean: Ints
+    waves: int
+    chi2: Floats
+    dof: Floats
+
+    @property
+    def columns(self) -> int:
+        """How many columns B has."""
+        return int(self.random.shape[1])
+
+    def by_mean(self, means: int) -> Floats:
+        """Return the sums of (B, F, y), where F has the columns of B added up by the mean they are of, then H."""
+        key = ("by mean", means)
+        if key not in self._kept:
+            c, h = self.columns, self.waves
+            W = np.zeros((len(self.names), self.gram.shape[1], c + means + h + 1))
+            W[:, np.arange(c), np.arange(c)] = 1.0
+            run, column = np.nonzero(self.mean >= 0)
+            W[run, column, c + self.mean[run, column]] = 1.0
+            W[:, c + np.arange(h + 1), c + means + np.arange(h + 1)] = 1.0
+            self._kept[key] = np.swapaxes(W, 1, 2) @ self.gram @ W
+        return self._kept[key]
+
+    def belongs(self, variances: int) -> Floats:
+        """Return 1 where a column of a run has a variance, shape (runs, c, k)."""
+        key = ("belongs", variances)
+        if key not in self._kept:
+            self._kept[key] = (self.random[:, :, None] == np.arange(variances)).astype(np.float64)
+        return self._kept[key]
+
+    @cached_property
+    def _kept(self) -> dict[tuple[str, int], Floats]:
+        """What was worked out of these sums alone."""
+        return {}
+
+    def without(self, left_out: Sequence[int]) -> Body:
+        """Return the body of all other runs."""
+        kept = [i for i in range(len(self.names)) if i not in set(left_out)]
+        return Body(
+            tuple(self.names[i] for i in kept), self.gram[kept], self.random[kept], self.mean[kept], self.waves,
+            self.chi2[kept], self.dof[kept],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What the runs of a bench may share, in order.
+
+    `kinds` are the stand's angles with `stated` (kinds,) u, rad; `means` the pairs of angle and installation
+    (empty: of all) that have a mean; the variances are those of the kinds, then of the drift of x, y, z, of
+    which one of unit size is `walk` (unit of the signal, per root hour). With `waves` the head's circle is asked
+    for.
+    """
+
+    kinds: tuple[str, ...]
+    stated: Floats
+    means: tuple[tuple[str, str], ...]
+    walk: float
+    waves: bool
+
+    @classmethod
+    def of(
+        cls, runs: Sequence[RunFit], stand_u: Mapping[str, float], *, by_installation: bool, waves: bool
+    ) -> Layout:
+        """Return the layout for runs; with `by_installation` each has means of its own."""
+        pairs = dict.fromkeys(pair for run in runs for pair in run.angles)
+        kinds = tuple(name for name in STAND_ANGLES if any(pair[0] == name for pair in pairs))
+        means = [pair if by_installation else (pair[0], "") for pair in pairs]
+        ordered = sorted(dict.fromkeys(means), key=lambda pair: (kinds.index(pair[0]), pair[1]))
+        stated = np.array([stand_u[name] for name in kinds])
+        sizes = [run.noise() for run in runs]
+        typical = rms(np.concatenate([np.sqrt(one[:3]) for one in sizes if one is not None] or [np.ones(3)]))
+        return cls(kinds, stated, tuple(ordered), typical, waves)
+
+    def mean_of(self, pair: tuple[str, str]) -> int:
+        """Return the number of the mean of an angle in an installation."""
+        return self.means.index(pair if pair in self.means else (pair[0], ""))
+
+
+def body_of(runs: Sequence[RunFit], variances: Floats, layout: Layout) -> Body:
+    """Return the sums of runs for noise variances (4,) or (runs, 4) of x, y, z (unit^2) and the setting (rad^2)."""
+    width = max(len(run.angles) for run in runs) + 3 * WALKS
+    waves = 2 * WAVES if layout.waves else 0
+    every = np.broadcast_to(variances, (len(runs), 4))
+    sums = [_sums(run, own, layout, width, waves) for run, own in zip(runs, every, strict=True)]
+    grams, random, mean, chi2, dof = zip(*sums, strict=True)
+    return Body(
+        tuple(run.name for run in runs), np.stack(grams), np.stack(random), np.stack(mean), waves,
+        np.array(chi2), np.array(dof),
+    )  # fmt: skip
+
+
+def _sums(
+    run: RunFit, variances: Floats, layout: Layout, width: int, waves: int
+) -> tuple[
+    Floats,
+    Ints,
+    Ints,
+    float,
+    float,
+]:
+    n, a = len(run.y), len(run.angles)
+    noise = Noise(rms(np.sqrt(variances[:3])), float(np.sqrt(variances[3])), np.inf, "given",
+                  channels=tuple(np.sqrt(variances[:3]).tolist()))  # fmt: skip
+    scale = np.array([layout.stated[layout.kinds.index(name)] for name, _ in run.angles])
+    W = np.zeros((n, 3, width + waves + 1))
+    W[:, :, :a] = run.stand * scale
+    for channel in range(3):
+        first = width - 3 * WALKS + channel * WALKS
+        W[:, channel, first : first + WALKS] = run.walk * layout.walk
+    W[:, :, width : width + waves] = run.waves[:, :, :waves]
+    W[:, :, -1] = run.y
+    whitened = partial(whiten, slope=run.slope, noise=noise)
+    q = _span(whitened(run.X).reshape(3 * n, -1))
+    columns = whitened(W).reshape(3 * n, -1)
+    columns = columns - q @ (q.T @ columns)
+    gram = columns.T @ columns
+    random, mean = np.full(width, -1), np.full(width, -1)
+    random[:a] = [layout.kinds.index(name) for name, _ in run.angles]
+    mean[:a] = [layout.mean_of(pair) for pair in run.angles]
+    random[width - 3 * WALKS :] = len(layout.kinds) + np.repeat(np.arange(3), WALKS)
+    chi2, dof = _beyond_repeats(run, gram, variances, a)
+    dof -= q.shape[1] - FIXED
+    for j in np.flatnonzero(np.isfinite(run.levels[:, 0])):
+        value, u = run.levels[j] / scale[j]
+        gram[j, j] += u**-2
+        gram[j, -1] += value / u**2
+        gram[-1, j] += value / u**2
+        gram[-1, -1] += (value / u) ** 2
+    return gram, random, mean, chi2, dof
+
+
+def _span(columns: Floats) -> Floats:
+    """Return an orthonormal basis of what columns (N, p) span."""
+    length = np.linalg.norm(columns, axis=0)
+    left, size, _ = np.linalg.svd(columns / np.where(length > 0, length, 1.0), full_matrices=False)
+    return np.asarray(left[:, size > 1e-9 * size[0]])
+
+
+SEEN: Final = 1e-3
+"""An eigenvalue of what a run tells of its angles, in terms of what was stated, below which it tells nothing."""
+
+
+def _beyond_repeats(run: RunFit, gram: Floats, variances: Floats, angles: int) -> tuple[float, float]:
+    """Return the chi-square of what neither coefficients, angles nor the scatter of repeats explain, and its dof.
+
+    The waves of the head stay in: they are taken off where they are known.
+    """
+    own = (
+        np.diag(variances[:3]) + variances[3] * run.scatter.slope[:, :, None] * run.scatter.slope[:, None, :]
+    )
+    pure = float(np.einsum("gij,gji->", np.linalg.inv(own), run.scatter.matrix))
+    dof = run.y.size - FIXED - 3 * run.scatter.settings
+    size = np.linalg.eigvalsh(gram[:angles, :angles])
+    return float(gram[-1, -1]) - pure, float(dof - np.sum(size > SEEN))
+
+
+def pooled_noise(runs: Sequence[RunFit], floor: float) -> Floats:
+    """Return the variances (4,) of x, y, z and the setting of all runs' repeats together.
+
+    Raises `CalibrationError` where there are too few.
+    """
+    told = [run.scatter for run in runs if run.scatter.settings]
+    if sum(scatter.settings for scatter in told) < LEAST_SETTINGS:
+        raise CalibrationError(
+            "these runs hold too few repeats to tell their noise; take runs of a procedure with passes"
+        )
+    matrix = np.concatenate([scatter.matrix for scatter in told])
+    freedom = np.concatenate([scatter.freedom for scatter in told])
+    slope = np.concatenate([scatter.slope for scatter in told])
+    return np.asarray(sizes_of(matrix[None], freedom, slope[None], np.array([floor]))[0])
+
+
+def scatter_of(runs: Sequence[RunFit], variances: Floats) -> tuple[Floats, Floats]:
+    """Return the mean square of each run's repeats in terms of noise (4,), and its degrees of freedom, (runs,)."""
+    ratio, dof = [], []
+    for run in runs:
+        slope = run.scatter.slope
+        own = np.diag(variances[:3]) + variances[3] * slope[:, :, None] * slope[:, None, :]
+        chi2 = float(np.einsum("gij,gji->", np.linalg.inv(own), run.scatter.matrix))
+        dof.append(3.0 * run.scatter.settings)
+        ratio.append(chi2 / dof[-1])
+    return np.array(ratio), np.array(dof)
+
+
+def between_runs(ratio: Floats, dof: Floats) -> tuple[float, float, float]:
+    """Return the mean logarithm of mean squares (n,), the variance between runs, and that of the mean.
+
+    The logarithm of a mean square with nu degrees of freedom has the variance psi'(nu/2) of itself.
+    """
+    x = np.log(ratio) - special.digamma(dof / 2) + np.log(dof / 2)
+    own = special.polygamma(1, dof / 2)
+    weight = 1.0 / own
+    mean = float(weight @ x / weight.sum())
+    excess = float(weight @ (x - mean) ** 2) - (len(x) - 1)
+    scale = float(weight.sum() - (weight @ weight) / weight.sum())
+    spread2 = max(excess / scale, 0.0) if scale > 0 else 0.0
+    weight = 1.0 / (own + spread2)
+    mean = float(weight @ x / weight.sum())
+    return mean, spread2, float(1.0 / weight.sum())
+
+
+def known_noise(runs: Sequence[RunFit], variances: Floats) -> tuple[KnownNoise, Floats]:
+    """Return the noise as what is known of that of a further run, and the degrees of freedom (4,) of the sizes.
+
+    The degrees of freedom of the former hold how far runs differ, and how well that is known.
+    """
+    told = [run for run in runs if run.scatter.settings]
+    freedom = np.concatenate([run.scatter.freedom for run in told])
+    slope = np.concatenate([run.scatter.slope for run in told])
+    pooled = _pooled_dof(freedom, slope, variances)
+    each = np.array([_own(run, variances) for run in told])
+    spread2 = np.ones(4)
+    for j in range(3):
+        usable = each[:, 1, j] > 1.0
+        if np.sum(usable) > 1:
+            ratio, own = np.maximum(each[usable, 0, j], 1e-6), each[usable, 1, j]
+            # what so few runs leave open of the spread comes on top
+            left = np.sqrt(2.0 / len(ratio)) * float(np.mean(special.polygamma(1, own / 2)))
+            spread2[j] = between_runs(ratio, own)[1] + left
+    # a run alone hardly tells of its setting error: it is the head's and the operator's, as constant as the meters
+    spread2[3] = np.mean(spread2[:3])
+    dof = 2.0 / (2.0 / np.maximum(pooled, 1e-15) + spread2)
+    sizes = np.sqrt(variances)
+    return KnownNoise(sizes[:3], dof[:3], float(sizes[3]), float(dof[3])), pooled
+
+
+LEAST_SHOWN: Final = 0.01
+"""A setting error that shows as less of the noise's variance has the u of one that shows as much."""
+
+
+def _pooled_dof(freedom: Floats, slope: Floats, variances: Floats) -> Floats:
+    """Return 2 v^2/u(v)^2 of the variances (4,); of a setting error near nothing u stays what the repeats leave."""
+    shown = float(np.mean(np.sum(slope**2, axis=1)))
+    least = LEAST_SHOWN * float(np.mean(variances[:3])) / shown if shown > 0 else 0.0
+    inside = variances.copy()
+    inside[3] = max(variances[3], least)
+    dof = np.array(freedom_of(freedom, slope[None], inside[None])[0])
+    if inside[3] > 0:
+        dof[3] *= (variances[3] / inside[3]) ** 2
+    return dof
+
+
+def _own(run: RunFit, variances: Floats) -> tuple[Floats, Floats]:
+    """Return the variances of a run in terms of those of all (4,), and their degrees of freedom (4,)."""
+    own = run.noise()
+    if own is None:
+        return np.ones(4), np.zeros(4)
+    dof = freedom_of(run.scatter.freedom, run.scatter.slope[None], variances[None])[0]
+    return own / np.maximum(variances, 1e-300), dof

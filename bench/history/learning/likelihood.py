@@ -1,0 +1,328 @@
+"""The restricted likelihood of what runs share, and the runs that contradict the others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy import special
+
+from bench.base.arrays import Floats, Mask
+from bench.history.learning.body import SEEN, Body, RunFit, between_runs, body_of, pooled_noise, scatter_of
+
+LEAST: Final = 1e-8
+"""Least variance, in terms of what was stated: there it is as good as none."""
+START: Final = 0.05
+STEP: Final = 0.02
+"""Relative step of the differences that make the observed information from the score."""
+ROUNDS: Final = 100
+AT_REST: Final = 1e-4
+MOST_CHANGE: Final = 5.0
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """What was stated before: prior precision (m,) of the means in stated units, and about variances.
+
+    `centre` (k,) and `spread` (k,) are those of a variance that keeps its prior, NaN for one that the runs tell.
+    """
+
+    precision: Floats
+    centre: Floats
+    spread: Floats
+
+    @property
+    def held(self) -> Mask:
+        """Which variances keep their prior, (k,)."""
+        return np.asarray(np.isfinite(self.centre))
+
+
+@dataclass(frozen=True)
+class At:
+    """The likelihood at some variances: value, score (k,), information (k, k), means (m,) with covariance (m, m).
+
+    The waves of the head stand behind the means.
+    """
+
+    minus_two_log: float
+    score: Floats
+    information: Floats
+    means: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """The sums (runs, w, w) of (B, F, y) of each run with V^-1 in place of R^-1, and ln det of V/R, (runs,)."""
+
+    whole: Floats
+    log_det: Floats
+    columns: int
+
+    @classmethod
+    def of(cls, body: Body, theta: Floats, means: int) -> Weighed:
+        """Weigh for variances (k,)."""
+        c = body.columns
+        gram = body.by_mean(means)
+        root = np.sqrt(np.append(theta, 0.0)[body.random])
+        inner = np.eye(c) + root[:, :, None] * gram[:, :c, :c] * root[:, None, :]
+        lower = np.linalg.cholesky(inner)
+        half = np.linalg.solve(lower, root[:, :, None] * gram[:, :c])
+        logs = 2.0 * np.sum(np.log(np.diagonal(lower, axis1=1, axis2=2)), axis=1)
+        return cls(gram - np.swapaxes(half, 1, 2) @ half, logs, c)
+
+    def means(self, beliefs: Beliefs, without: int | None = None) -> tuple[Floats, Floats]:
+        """Return means and waves with their covariance, of all runs or of all but one."""
+        c, m = self.columns, len(beliefs.precision)
+        normal = self.whole[:, c:-1, c:-1].sum(axis=0)
+        right = self.whole[:, c:-1, -1].sum(axis=0)
+        if without is not None:
+            normal = normal - self.whole[without, c:-1, c:-1]
+            right = right - self.whole[without, c:-1, -1]
+        places = np.arange(m)
+        normal[places, places] += beliefs.precision
+        # a wave that no run shows stays open, and takes nothing
+        normal[np.diag_indices_from(normal)] += 1e-12 * np.maximum(np.diag(normal), 1e-12)
+        covariance = np.linalg.inv(normal)
+        return covariance @ right, covariance
+
+
+def at(body: Body, theta: Floats, beliefs: Beliefs) -> At:
+    """Return the likelihood of variances (k,), in stated units; `beliefs` of the means, waves without a prior."""
+    c, m = body.columns, len(beliefs.precision)
+    weighed = Weighed.of(body, theta, m)
+    whole = weighed.whole
+    means, covariance = weighed.means(beliefs)
+    right = whole[:, c:-1, -1].sum(axis=0)
+    value = float(weighed.log_det.sum())
+    value += float(whole[:, -1, -1].sum() - right @ means) - float(np.linalg.slogdet(covariance)[1])
+    by_means = whole[:, :c, c:-1]
+    left = whole[:, :c, -1] - by_means @ means
+    own = whole[:, :c, :c]
+    traces = np.diagonal(own, axis1=1, axis2=2) - np.sum((by_means @ covariance) * by_means, axis=2)
+    belongs = body.belongs(len(theta))
+    score = 0.5 * ((left**2 - traces).ravel() @ belongs.reshape(-1, len(theta)))
+    information = 0.5 * np.einsum("rcg,rch->gh", belongs, own**2 @ belongs)
+    held = beliefs.held
+    spread = np.where(held, beliefs.spread, 1.0)
+    off = np.where(held, (theta - np.where(held, beliefs.centre, 0.0)) / spread, 0.0)
+    information[np.diag_indices_from(information)] += np.where(held, spread**-2.0, 0.0)
+    return At(value + float(off @ off), score - off / spread, information, means, covariance)
+
+
+@dataclass(frozen=True)
+class Shared:
+    """The variances (k,) of greatest restricted likelihood in stated units, and what goes with them.
+
+    `information` (k, k) is the observed one, priors included; `at` the likelihood there.
+    """
+
+    theta: Floats
+    information: Floats
+    at: At
+
+
+def maximise(body: Body, beliefs: Beliefs, start: Floats | None = None) -> Shared:
+    """Return the variances of greatest likelihood, none below zero, with the observed information."""
+    theta = fitted(body, beliefs, start)
+    return Shared(theta, observed_information(body, theta, beliefs), at(body, theta, beliefs))
+
+
+def fitted(body: Body, beliefs: Beliefs, start: Floats | None = None) -> Floats:
+    """Return the variances (k,) of greatest likelihood alone, by scoring in relative steps."""
+    theta = np.full(len(beliefs.centre), START) if start is None else np.maximum(start, 100 * LEAST)
+    best, damping = at(body, theta, beliefs), 0.0
+    for _ in range(ROUNDS):
+        slope = best.score * theta
+        curvature = best.information * np.outer(theta, theta)
+        free = (theta > LEAST) | (slope > 0)
+        own = curvature[np.ix_(free, free)]
+        own = own + np.diag((1e-6 + damping) * np.diag(own) + 1e-12 * np.trace(own) + 1e-300)
+        step = np.zeros(len(theta))
+        step[free] = np.linalg.solve(own, slope[free])
+        moved = np.maximum(theta * np.clip(1.0 + step, 1 / MOST_CHANGE, MOST_CHANGE), LEAST)
+        there = at(body, moved, beliefs)
+        if there.minus_two_log > best.minus_two_log + 1e-9:
+            damping = max(4.0 * damping, 0.5)
+            if damping > 1e6:
+                break
+            continue
+        still = np.all(np.abs(moved - theta) <= AT_REST * theta + 10 * LEAST)
+        theta, best, damping = moved, there, damping / 4.0 if damping > 1e-3 else 0.0
+        if still:
+            break
+    return theta
+
+
+def observed_information(body: Body, theta: Floats, beliefs: Beliefs) -> Floats:
+    """Return minus the second derivatives of ln L (k, k) by differences of the score."""
+    k = len(theta)
+    information = np.zeros((k, k))
+    for j in range(k):
+        size = STEP * max(theta[j], 1e-3)
+        up, down = theta.copy(), theta.copy()
+        up[j] += size
+        down[j] = max(down[j] - size, LEAST)
+        change = at(body, up, beliefs).score - at(body, down, beliefs).score
+        information[j] = -change / (up[j] - down[j])
+    return np.asarray((information + information.T) / 2)
+
+
+NAMED_P: Final = 0.01
+"""A run is named where chance alone would name any run of so many less often than this."""
+LOOKED_AT_P: Final = 0.1
+"""Variances are estimated anew without a run only where it is that odd by those of all."""
+MOST_PART: Final = 1 / 3
+"""No more of the runs are left out: where more contradict, it is the bench that is not one."""
+ANGLES: Final = "its angles of the stand"
+FIT: Final = "what it leaves beyond the scatter of its repeats"
+SCATTER: Final = "the scatter of its repeats"
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A run that contradicts the others: in `what`, `size` times what is expected, `p` with all looks counted."""
+
+    run: str
+    what: str
+    size: float
+    p: float
+
+    @property
+    def sentence(self) -> str:
+        """Say it in words."""
+        return f"{self.run} contradicts the others: {self.what} is {self.size:.3g} times what they lead to expect"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {"run": self.run, "what": self.what, "size": self.size, "p": self.p, "sentence": self.sentence}
+
+
+def odd_runs(runs: list[RunFit], body: Body, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
+    """Return for every run and question how odd it is, p with all looks counted, the oddest first."""
+    found = [*_angles(body, theta, beliefs), *_fit(body, at(body, theta, beliefs).means)]
+    found += _scatter(runs)
+    return _holm(found)
+
+
+def _holm(found: list[Contradiction]) -> list[Contradiction]:
+    ordered = sorted(found, key=lambda one: one.p)
+    p, adjusted = 0.0, []
+    for k, one in enumerate(ordered):
+        p = max(p, min(1.0, (len(ordered) - k) * one.p))
+        adjusted.append(Contradiction(one.run, one.what, one.size, p))
+    return adjusted
+
+
+def _angles(body: Body, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
+    found = []
+    weighed = Weighed.of(body, theta, len(beliefs.precision))
+    for r, name in enumerate(body.names):
+        size, p = _angle_test(body, r, theta, *weighed.means(beliefs, without=r))
+        if p < LOOKED_AT_P:
+            # an odd run makes its own scatter look usual
+            others = body.without([r])
+            anew = fitted(others, beliefs, theta)
+            size, p = _angle_test(
+                body, r, anew, *Weighed.of(others, anew, len(beliefs.precision)).means(beliefs)
+            )
+        if np.isfinite(size):
+            found.append(Contradiction(name, ANGLES, size, p))
+    return found
+
+
+def _angle_test(body: Body, r: int, theta: Floats, means: Floats, covariance: Floats) -> tuple[float, float]:
+    """Return chi-square over its freedom, and p, of what a run tells of its angles by what the others predict."""
+    c = body.columns
+    own = np.flatnonzero(body.mean[r] >= 0)
+    by_means = body.by_mean(len(means) - body.waves)[r][own, c:-1]
+    sized = np.append(theta, 0.0)[body.random[r]]
+    S = body.gram[r, :c, :c]
+    left = body.gram[r, own, -1] - by_means @ means
+    spread = S[np.ix_(own, own)] + (S[own] * sized) @ S[own].T + by_means @ covariance @ by_means.T
+    size, axes = np.linalg.eigh(S[np.ix_(own, own)])
+    axes = axes[:, size > SEEN]
+    freedom = axes.shape[1]
+    if not freedom:
+        return float("nan"), 1.0
+    z = axes.T @ left
+    chi2 = float(z @ np.linalg.solve(axes.T @ spread @ axes, z))
+    return chi2 / freedom, float(special.fdtrc(freedom, max(len(body.names) - 1, 1), chi2 / freedom))
+
+
+def _fit(body: Body, means: Floats) -> list[Contradiction]:
+    """Return how much each run leaves beyond its repeats, by the others, the head's waves taken off."""
+    waves = means[len(means) - body.waves :]
+    c = body.columns
+    H = slice(c, c + body.waves)
+    chi2 = np.empty(len(body.names))
+    for r, gram in enumerate(body.gram):
+        angles = np.flatnonzero(body.mean[r] >= 0)
+        left = gram[angles, -1] - gram[angles, H] @ waves
+        size, axes = np.linalg.eigh(gram[np.ix_(angles, angles)])
+        seen = size > SEEN
+        explained = np.sum((axes[:, seen].T @ left) ** 2 / size[seen])
+        off = -2.0 * waves @ gram[H, -1] + waves @ gram[H, H] @ waves
+        chi2[r] = max(float(body.chi2[r] + off - explained), 1e-3)
+    return _held_against(body.names, chi2 / body.dof, body.dof, FIT, upper=True)
+
+
+def _scatter(runs: list[RunFit]) -> list[Contradiction]:
+    told = [run for run in runs if run.scatter.settings]
+    if len(told) < 2:
+        return []
+    ratio, dof = scatter_of(told, pooled_noise(told, min(run.floor for run in told)))
+    return _held_against(tuple(run.name for run in told), ratio, dof, SCATTER, upper=False)
+
+
+def _held_against(
+    names: tuple[str, ...], ratio: Floats, dof: Floats, what: str, *, upper: bool
+) -> list[Contradiction]:
+    """Return how odd each of several mean squares with degrees of freedom is, by the others as they differ."""
+    usable = np.flatnonzero(dof > 0)
+    found = []
+    for r in usable:
+        others = usable[usable != r]
+        if not len(others):
+            continue
+        mean, spread2, told = between_runs(ratio[others], dof[others])
+        x = float(np.log(ratio[r]) - special.digamma(dof[r] / 2) + np.log(dof[r] / 2))
+        u = np.sqrt(special.polygamma(1, dof[r] / 2) + spread2 + told)
+        t = (x - mean) / float(u)
+        # a spread that was estimated is known to the degrees of freedom of the others
+        above = special.ndtr(-t) if spread2 == 0.0 else special.stdtr(max(len(others) - 1, 1), -t)
+        p = float(above if upper else 2 * min(above, 1 - above))
+        found.append(Contradiction(names[r], what, float(np.exp(x - mean)), p))
+    return found
+
+
+@dataclass(frozen=True)
+class Agreed:
+    """Runs that agree, with their noise (4,) and their sums; those that do not, the oddest first."""
+
+    runs: list[RunFit]
+    body: Body
+    noise: Floats
+    contradicting: tuple[Contradiction, ...]
+    most: bool
+
+
+def agreed(runs: list[RunFit], body: Body, noise: Floats, beliefs: Beliefs, layout: Any) -> Agreed:
+    """Leave out runs that contradict the others, the oddest first, one at a time."""
+    named: list[Contradiction] = []
+    kept = list(runs)
+    most = int(len(runs) * MOST_PART)
+    theta = fitted(body, beliefs)
+    while len(kept) > 2:
+        oddest = odd_runs(kept, body, theta, beliefs)[0]
+        if oddest.p >= NAMED_P:
+            return Agreed(kept, body, noise, tuple(named), most=False)
+        if len(named) >= most:
+            return Agreed(kept, body, noise, (*named, oddest), most=True)
+        named.append(oddest)
+        kept = [run for run in kept if run.name != oddest.run]
+        noise = pooled_noise(kept, min(run.floor for run in kept))
+        body = body_of(kept, noise, layout)
+        theta = fitted(body, beliefs, theta)
+    return Agreed(kept, body, noise, tuple(named), most=False)

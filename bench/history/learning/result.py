@@ -1,0 +1,514 @@
+"""What was learned of a bench: sizes with u, and how its meters differ."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from scipy import linalg, sparse, special
+from scipy.sparse import csgraph
+
+from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints
+from bench.base.numbers import finite_or_none
+from bench.calibration.known import KnownStand
+
+if TYPE_CHECKING:
+    from bench.history.learning.likelihood import Contradiction
+
+
+NONE: Final = 1e-6
+"""A variance that is no larger part of what was stated is none."""
+FEW_DOF: Final = 4.0
+"""With no more degrees of freedom a size is told by its upper end alone."""
+SHOWN_P: Final = 0.01
+"""A wave of the head is taken for one where chance alone makes as large a one less often."""
+HARDLY_BETTER: Final = 0.95
+WAVE_NAMES: Final = (
+    "head_eccentricity.cosine", "head_eccentricity.sine", "head_ellipticity.cosine", "head_ellipticity.sine",
+)  # fmt: skip
+NEVER: Final = (
+    "absolute gain of the voltmeters: 1 ppm of it is 1 ppm of every coefficient of every block",
+    "absolute zero of the voltmeters: it goes whole into the biases of every block",
+)
+
+
+@dataclass(frozen=True)
+class Size:
+    """One learned size in `unit`, with its standard uncertainty and degrees of freedom."""
+
+    name: str
+    value: float
+    u: float
+    unit: str
+    dof: float
+    told: bool = True
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "value": self.value, "u": self.u, "unit": self.unit, "dof": finite_or_none(self.dof), "told": self.told,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Variance:
+    """A variance component: `theta` and its u in terms of `unit` squared; `held` where it keeps its prior."""
+
+    name: str
+    theta: float
+    u_theta: float
+    unit: float
+    held: bool
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of the variance, 2 v^2/u(v)^2."""
+        return 2.0 * self.theta**2 / max(self.u_theta**2, 1e-300)
+
+    @property
+    def size(self) -> float:
+        """The standard deviation, SI."""
+        return float(np.sqrt(self.theta)) * self.unit if self.theta > NONE else 0.0
+
+    @property
+    def u(self) -> float:
+        """Standard uncertainty of the standard deviation, SI, by its degrees of freedom."""
+        if self.dof > FEW_DOF:
+            return self.size / float(np.sqrt(2.0 * (self.dof - 2.0)))
+        return (float(np.sqrt(self.theta + self.u_theta)) - float(np.sqrt(self.theta))) * self.unit
+
+    @property
+    def u_next(self) -> float:
+        """The standard deviation as it counts for a further run, SI: widened, and never nothing."""
+        if self.held:
+            return self.size
+        nu = max(self.dof, FEW_DOF)
+        z = self.theta / max(self.u_theta, 1e-300)
+        tail = float(np.exp(-0.5 * z**2 - special.log_ndtr(z)) / np.sqrt(2.0 * np.pi))
+        return float(np.sqrt(max(self.theta * nu / (nu - 2.0), self.theta + self.u_theta * tail))) * self.unit
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What runs of one bench share.
+
+    `means` (m + waves,) rad by `keys` (name of the angle, installation or empty), then the waves of the head, with
+    `covariance`; `stated` (m,) their u before, rad. `variances` are those of remounts by kind, then of the drift by
+    channel (unit of the signal, per root hour), with `variances_covariance` (k, k) of their squares. `noise`
+    (4,) are the sizes of x, y, z and of the setting (rad). `known` is what a further calibration takes of it.
+    `meters` are the differences of the voltmeters, or a sentence on why they are not told.
+    """
+
+    runs: tuple[str, ...]
+    unit: str
+    keys: tuple[tuple[str, str], ...]
+    means: Floats
+    covariance: Floats
+    means_dof: Floats
+    stated: Floats
+    waves: int
+    variances: tuple[Variance, ...]
+    variances_covariance: Floats
+    noise: Floats
+    noise_dof: Floats
+    known: KnownStand
+    not_told: Mapping[str, str]
+    contradicting: tuple[Contradiction, ...] = ()
+    too_many_contradict: bool = False
+    meters: MeterDifferences | str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the means and waves."""
+        own = [f"{name}[{installation}]" if installation else name for name, installation in self.keys]
+        return (*own, *WAVE_NAMES[: self.waves])
+
+    def sizes(self) -> Iterator[Size]:
+        """Yield every size: means, remounts, noise, setting error, drift, waves of the head."""
+        u = np.sqrt(np.diag(self.covariance))
+        for j, name in enumerate(self.names):
+            told = j >= len(self.stated) or u[j] < HARDLY_BETTER * self.stated[j]
+            label = name if j >= len(self.stated) else f"{name}.mean"
+            yield Size(
+                label, self.means[j] / ARCSEC, u[j] / ARCSEC, "arcsec", float(self.means_dof[j]), bool(told)
+            )
+        kinds = len(self.variances) - 3
+        for v in self.variances[:kinds]:
+            yield Size(f"{v.name}.remount", v.size / ARCSEC, v.u / ARCSEC, "arcsec", v.dof, not v.held)
+        for j, channel in enumerate(CHANNELS):
+            nu = float(self.noise_dof[j])
+            yield Size(f"noise[{channel}]", float(self.noise[j]), _u(self.noise[j], nu), self.unit, nu)
+        nu = float(self.noise_dof[3])
+        size = self.noise[3] / ARCSEC
+        yield Size("setting_error", float(size), _u(size, nu), "arcsec", nu)
+        for v in self.variances[kinds:]:
+            yield Size(v.name, v.size, v.u, f"{self.unit}/sqrt(h)", v.dof)
+        if not isinstance(self.meters, str):
+            yield from self.meters.sizes()
+
+    def shown_waves(self) -> list[int]:
+        """Return which harmonics of the head, counted from 0, are larger than chance makes them."""
+        m, found = len(self.keys), []
+        for k in range(self.waves // 2):
+            at = slice(m + 2 * k, m + 2 * k + 2)
+            chi2 = float(self.means[at] @ np.linalg.solve(self.covariance[at, at], self.means[at]))
+            if special.chdtrc(2, chi2) < SHOWN_P:
+                found.append(k)
+        return found
+
+    def not_identified(self) -> list[str]:
+        """Return sentences on what these runs do not tell, and why."""
+        told = [
+            f"{name}.remount: {why}; it keeps its prior, a part of the stated limit that nobody knows"
+            for name, why in self.not_told.items()
+        ]
+        told += [
+            f"{size.name}: the runs leave it as the bench file states it; it keeps its prior"
+            for size in self.sizes()
+            if not size.told and size.name.endswith(".mean")
+        ]
+        if isinstance(self.meters, str):
+            return [*told, *NEVER, *filter(None, [self.meters])]
+        return [*told, *NEVER, *self.meters.not_told()]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "runs": list(self.runs),
+            "contradicting": [one.to_json() for one in self.contradicting],
+            "sizes": {size.name: size.to_json() for size in self.sizes()},
+            "means": {"order": list(self.names), "covariance_rad2": self.covariance.tolist()},
+            "variances": {
+                "order": [v.name for v in self.variances],
+                "covariance": self.variances_covariance.tolist(),
+            },
+            "meters": None if isinstance(self.meters, str) else self.meters.to_json(),
+            "not_identified": self.not_identified(),
+        }
+
+
+def _u(size: float, dof: float) -> float:
+    """Return u of a standard deviation; with few degrees of freedom how far its upper end is."""
+    if dof > FEW_DOF:
+        return float(size / np.sqrt(2.0 * (dof - 2.0)))
+    return float(size * (np.sqrt(1.0 + np.sqrt(2.0 / max(dof, 1e-30))) - 1.0))
+
+
+LEAST_FREEDOM: Final = 2
+"""Degrees of freedom that must be left to tell what a block does from run to run from what the meters do."""
+NOT_EXCHANGED: Final = (
+    "differences between the voltmeters: no block was measured with voltmeters exchanged between its channels, "
+    "so that a difference passes for the block's; three runs of one block (two of two blocks), each voltmeter "
+    "on another channel, or a check block before and after a voltmeter was replaced tell them"
+)
+ONE_METER: Final = "differences between the voltmeters: one reads all channels, so that there are none"
+TOO_FEW: Final = (
+    "differences between the voltmeters: the runs with voltmeters exchanged are too few to tell them from what the "
+    "block does from run to run; one more run of that block, each voltmeter on another channel, tells both"
+)
+_PPM, _MICROVOLT = 1e-6, 1e-6
+
+
+@dataclass(frozen=True)
+class MeterRun:
+    """A calibration of a unit as its meters saw it.
+
+    `meters` are their identities by channel, `day` when (days of any count). `values` (6,) are the logarithms of
+    the rows' lengths (V/g), then the biases in g; `covariance` (6, 6) holds all that comes anew with a run, the
+    meters' own errors left out; `block` (6, q) what the block brings to each of its runs, one u a column. `drift`
+    (3, 2) is how far gain (1) and zero (V) of the meter of each channel may move within `per_days`.
+    """
+
+    name: str
+    unit: str
+    meters: tuple[str, str, str]
+    day: float
+    values: Floats
+    covariance: Floats
+    block: Floats
+    drift: Floats
+    per_days: float
+
+    @classmethod
+    def of(
+        cls, name: str, unit: str, meters: tuple[str, str, str], day: float, coefficients: Floats,
+        covariance: Floats, block: Floats, drift: Floats, per_days: float,
+    ) -> MeterRun:  # fmt: skip
+        """Return it for twelve coefficients (12,) with covariance (12, 12) and terms of the block (12, q)."""
+        values, slope = lengths_and_biases(coefficients)
+        return cls(
+            name, unit, meters, day, values, slope @ covariance @ slope.T, slope @ block, drift, per_days
+        )
+
+
+def lengths_and_biases(coefficients: Floats) -> tuple[Floats, Floats]:
+    """Return ln |row| and bias over |row| of three channels, (6,), and their slopes by the twelve, (6, 12)."""
+    rows, bias = coefficients[:9].reshape(3, 3), coefficients[9:]
+    length = np.linalg.norm(rows, axis=1)
+    slope = np.zeros((6, 12))
+    for i in range(3):
+        by_row = rows[i] / length[i] ** 2
+        slope[i, 3 * i : 3 * i + 3] = by_row
+        slope[3 + i, 3 * i : 3 * i + 3] = -bias[i] / length[i] * by_row
+        slope[3 + i, 9 + i] = 1.0 / length[i]
+    return np.concatenate([np.log(length), bias / length]), slope
+
+
+@dataclass(frozen=True)
+class Contrasts:
+    """One quantity of M meters: `values` (M,) about the mean of each group, with `covariance` (M, M).
+
+    `freedom` (M,) are the degrees of freedom of the difference from the first meter of the group (inf for itself),
+    `between` what a block adds from run to run beyond what is stated, as it counts here; all SI.
+    """
+
+    values: Floats
+    covariance: Floats
+    freedom: Floats
+    between: float
+
+    def difference(self, a: int, b: int) -> tuple[float, float]:
+        """Return that of meter `a` less meter `b`, with its standard uncertainty."""
+        c = self.covariance
+        return float(self.values[a] - self.values[b]), float(np.sqrt(c[a, a] + c[b, b] - 2.0 * c[a, b]))
+
+
+@dataclass(frozen=True)
+class MeterDifferences:
+    """What runs tell of how the meters differ, about day `day`; meters of different `group` (M,) are not compared.
+
+    `used` says how often each meter read which channel.
+    """
+
+    meters: tuple[str, ...]
+    group: tuple[int, ...]
+    used: tuple[tuple[int, int, int], ...]
+    gain: Contrasts
+    zero: Contrasts
+    runs: tuple[str, ...]
+    day: float
+
+    def pairs(self) -> Iterator[tuple[int, int]]:
+        """Yield each meter with the first one of its group, by number."""
+        for b, group in enumerate(self.group):
+            first = self.group.index(group)
+            if first != b:
+                yield b, first
+
+    def sizes(self) -> Iterator[Size]:
+        """Yield the differences from the first meter of each group."""
+        for what, contrasts, unit, scale in (
+            ("gain", self.gain, "ppm", _PPM), ("offset", self.zero, "µV", _MICROVOLT)
+        ):  # fmt: skip
+            for b, a in self.pairs():
+                value, u = contrasts.difference(b, a)
+                dof = float(contrasts.freedom[b])
+                yield Size(f"voltmeter_{what}[{b + 1}-{a + 1}]", value / scale, u / scale, unit, dof)
+
+    def words(self) -> Iterator[str]:
+        """Yield which meter has which number, and what it read."""
+        for number, (meter, used) in enumerate(zip(self.meters, self.used, strict=True), start=1):
+            read = ", ".join(f"{c} in {n}" for c, n in zip(CHANNELS, used, strict=True) if n)
+            yield f"voltmeter {number}: {meter} (read {read} of {len(self.runs)} runs with exchanged voltmeters)"
+
+    def not_told(self) -> Iterator[str]:
+        """Yield a sentence where some of the meters were never compared with the others."""
+        if len(set(self.group)) > 1:
+            groups = [
+                " and ".join(str(m + 1) for m, own in enumerate(self.group) if own == group)
+                for group in dict.fromkeys(self.group)
+            ]
+            yield (
+                f"differences between voltmeters {', '.join(groups)}: no channel of a block met them both; a run "
+                "of one block with them exchanged tells these, too"
+            )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form: SI, covariances about the mean of each group."""
+        return {
+            "meters": list(self.meters),
+            "group": list(self.group),
+            "runs": list(self.runs),
+            **{
+                name: {
+                    "value": c.values.tolist(),
+                    "covariance": c.covariance.tolist(),
+                    "dof": [finite_or_none(nu) for nu in c.freedom.tolist()],
+                    "between_runs": c.between,
+                }
+                for name, c in (("gain", self.gain), ("offset_v", self.zero))
+            },
+        }
+
+
+def meter_differences(runs: Sequence[MeterRun]) -> MeterDifferences | str:
+    """Return what runs tell of the differences between their meters, or a sentence on why they tell nothing."""
+    kept = exchanged([(run.unit, run.meters) for run in runs])
+    if not kept:
+        alone = bool(runs) and all(len(set(run.meters)) == 1 for run in runs)
+        return ONE_METER if alone else NOT_EXCHANGED
+    own = [runs[i] for i in kept]
+    design = _Design.of(own)
+    if design.freedom < LEAST_FREEDOM:
+        return TOO_FEW
+    day = float(np.mean([run.day for run in own]))
+    gain = design.fit(*_stacked(own, day, 0, np.ones(design.readings)))
+    zero = design.fit(*_stacked(own, day, 1, design.mean_length(np.concatenate([r.values[:3] for r in own]))))
+    used = design.meter_of.reshape(-1, 3)
+    return MeterDifferences(
+        design.meters,
+        tuple(design.group.tolist()),
+        tuple((int(n[0]), int(n[1]), int(n[2])) for n in
+              (np.sum(used == m, axis=0) for m in range(len(design.meters)))),
+        gain, zero, tuple(run.name for run in own), day,
+    )  # fmt: skip
+
+
+def exchanged(runs: Sequence[tuple[str, tuple[str, str, str]]]) -> list[int]:
+    """Return the numbers of the runs, each with its unit and meters, of units of which a channel met several."""
+    met: dict[tuple[str, int], set[str]] = {}
+    for unit, meters in runs:
+        for channel, meter in enumerate(meters):
+            if unit and meter:
+                met.setdefault((unit, channel), set()).add(meter)
+    units = {unit for (unit, _), meters in met.items() if len(meters) > 1}
+    return [i for i, (unit, meters) in enumerate(runs) if unit in units and all(meters)]
+
+
+def _stacked(runs: Sequence[MeterRun], day: float, quantity: int, scale: Floats) -> tuple[Floats, Floats]:
+    """Return the values (N,) of a quantity times `scale`, and their covariance as it is stated (N, N)."""
+    at = slice(3 * quantity, 3 * quantity + 3)
+    y = scale * np.concatenate([run.values[at] for run in runs])
+    known = linalg.block_diag(*(run.covariance[at, at] for run in runs))
+    for unit in {run.unit for run in runs}:
+        width = max(run.block.shape[1] for run in runs if run.unit == unit)
+        parts = [
+            run.block[at] if run.unit == unit and run.block.shape[1] == width else np.zeros((3, width))
+            for run in runs
+        ]
+        alike = np.concatenate(parts)
+        known = known + alike @ alike.T
+    known = known * np.outer(scale, scale)
+    return y, known + _moved(runs, day, quantity)
+
+
+def _moved(runs: Sequence[MeterRun], day: float, quantity: int) -> Floats:
+    """Return the covariance (N, N) of how far each meter was from what it was on a day.
+
+    As far as its limits in proportion to the time, on a way that nobody knows: steps apart in time are independent.
+    """
+    of = np.array([meter for run in runs for meter in run.meters])
+    part = np.repeat([np.clip((run.day - day) / run.per_days, -1.0, 1.0) for run in runs], 3)
+    u = np.concatenate([run.drift[:, quantity] for run in runs])
+    alike = (of[:, None] == of) & (np.sign(part)[:, None] == np.sign(part))
+    return np.asarray(np.outer(u, u) * np.minimum.outer(np.abs(part), np.abs(part)) ** 2 * alike)
+
+
+@dataclass(frozen=True)
+class _Design:
+    """Which meter read which channel of which unit: N readings, one of each channel in each run.
+
+    `cell` (N,) numbers unit and channel, `meter_of` (N,) the meter; meters of one `group` (M,) are compared.
+    """
+
+    meters: tuple[str, ...]
+    cell: Ints
+    meter_of: Ints
+    group: Ints
+
+    @classmethod
+    def of(cls, runs: Sequence[MeterRun]) -> _Design:
+        meters = tuple(dict.fromkeys(meter for run in runs for meter in run.meters))
+        meter_of = np.array([meters.index(meter) for run in runs for meter in run.meters])
+        cells = [(run.unit, channel) for run in runs for channel in range(3)]
+        numbers = {cell: k for k, cell in enumerate(dict.fromkeys(cells))}
+        cell = np.array([numbers[one] for one in cells])
+        count = len(meters) + len(numbers)
+        links = sparse.coo_array((np.ones(len(cell)), (meter_of, len(meters) + cell)), shape=(count, count))
+        label = csgraph.connected_components(links, directed=False)[1][: len(meters)]
+        group = np.unique(label, return_inverse=True)[1]
+        return cls(meters, cell, meter_of, np.asarray(group).ravel())
+
+    @property
+    def readings(self) -> int:
+        return len(self.cell)
+
+    @property
+    def contrasts(self) -> Floats:
+        """What of M meters is told, orthonormal (M, k): no group's mean."""
+        kept = np.eye(len(self.meters))
+        for number in np.unique(self.group):
+            own = (self.group == number).astype(np.float64)
+            kept -= np.outer(own, own) / own.sum()
+        size, vectors = np.linalg.eigh(kept)
+        return np.asarray(vectors[:, size > 0.5])
+
+    @property
+    def freedom(self) -> int:
+        return self.readings - int(self.cell.max()) - 1 - int(self.contrasts.shape[1])
+
+    def mean_length(self, logarithms: Floats) -> Floats:
+        """Return the mean length of its cell for each reading (N,), V/g."""
+        mean = np.bincount(self.cell, logarithms) / np.bincount(self.cell)
+        return np.asarray(np.exp(mean[self.cell]))
+
+    def fit(self, y: Floats, known: Floats) -> Contrasts:
+        """Return the contrasts from values (N,) of stated covariance (N, N), the rest by restricted likelihood."""
+        cells = np.eye(int(self.cell.max()) + 1)[self.cell]
+        basis = self.contrasts
+        X = np.concatenate([cells, np.eye(len(self.meters))[self.meter_of] @ basis], axis=1)
+        between2, u_between2 = _beyond(y, X, known)
+
+        def weighed(variance: float) -> tuple[Floats, Floats]:
+            root = np.linalg.cholesky(known + variance * np.eye(len(y)))
+            rows = linalg.solve_triangular(root, np.column_stack([X, y]), lower=True)
+            normal = np.linalg.inv(rows[:, :-1].T @ rows[:, :-1])
+            own = slice(cells.shape[1], None)
+            return (normal @ (rows[:, :-1].T @ rows[:, -1]))[own], normal[own, own]
+
+        found, covariance = weighed(between2)
+        return Contrasts(
+            basis @ found, basis @ covariance @ basis.T,
+            self._freedom(lambda variance: basis @ weighed(variance)[1] @ basis.T, between2, u_between2),
+            float(np.sqrt(between2)),
+        )  # fmt: skip
+
+    def _freedom(self, covariance: Callable[[float], Floats], variance: float, u_variance: float) -> Floats:
+        """Return degrees of freedom (M,) of the differences from the first of each group, by Satterthwaite."""
+        step = 0.01 * variance
+        here, slope = covariance(variance), (covariance(variance + step) - covariance(variance)) / step
+        found = np.full(len(self.meters), np.inf)
+        for b, group in enumerate(self.group.tolist()):
+            a = int(np.flatnonzero(self.group == group)[0])
+            if a != b:
+                of = np.zeros(len(self.meters))
+                of[[a, b]] = -1.0, 1.0
+                size, by_variance = float(of @ here @ of), float(of @ slope @ of)
+                found[b] = 2.0 * size**2 / max((by_variance * u_variance) ** 2, 1e-300)
+        return found
+
+
+def _beyond(y: Floats, X: Floats, known: Floats) -> tuple[float, float]:
+    """Return the variance of each reading beyond what is stated, as it counts, and its standard uncertainty.
+
+    By restricted likelihood of what X leaves; widened for how few tell it, so that it is never nothing.
+    """
+    off = linalg.null_space(X.T)
+    size, axes = np.linalg.eigh(off.T @ known @ off)
+    left = axes.T @ (off.T @ y)
+    unit = float(np.sqrt(np.mean(size)))
+    size, left2 = np.asarray(size / unit**2), np.asarray((left / unit) ** 2)
+
+    most = 3.0 * float(np.sqrt(left2.max())) + 1e-3
+    low, high, theta = 0.0, most, 0.0
+    for _ in range(3):
+        thetas = np.linspace(low, high, 100) ** 2
+        of: Floats = size + thetas[:, None]
+        best = int(np.argmin(np.sum(np.log(of) + left2 / of, axis=1)))
+        theta = float(thetas[best])
+        low, high = np.sqrt(thetas[[max(best - 1, 0), min(best + 1, len(thetas) - 1)]]).tolist()
+    u_theta = float(np.sum((size + theta) ** -2.0) / 2.0) ** -0.5
+    counts = Variance("between runs", theta, u_theta, unit, held=False).u_next
+    return counts**2, u_theta * unit**2

@@ -1,0 +1,362 @@
+"""Allan deviation, the noise terms behind it, and how long a reading should average."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy import optimize, special
+
+from bench.base.arrays import Floats, Ints, Mask, u_of
+from bench.calibration.result import CalibrationError
+
+LONGEST_PART: Final = 4
+"""Averaging times go up to the record's length over this: beyond, one or two values decide."""
+CONFIDENCE: Final = 0.95
+LAGS: Final = 100
+"""Greenhall and Riley's J_max: the correlations of more windows than this are not summed one by one."""
+LONG_RECORD: Final = {0: (2.0 / 3.0, 1.0 / 3.0), -1: (0.852, 0.375), -2: (1.079, 0.368)}
+"""Greenhall and Riley's table 2 for second differences: a0, a1 of 1/edf = (a0 - a1/r)/r by power of frequency."""
+
+
+@dataclass(frozen=True)
+class AllanCurve:
+    """Allan deviation `deviation` (k,) at `tau_s` (k,), averages of `multiples` (k,) samples of `samples`."""
+
+    tau_s: Floats
+    deviation: Floats
+    multiples: Ints
+    samples: int
+
+    def freedom(self, alpha: Floats) -> Floats:
+        """Equivalent degrees of freedom (k,), 1 at least, where the noise's spectrum goes as f^alpha.
+
+        alpha (k,) is 2 (quantisation), 0 (white), -1 (flicker) or -2 (random walk); `KeyError` for another.
+        """
+        rows = zip(self.multiples.tolist(), np.asarray(alpha).tolist(), strict=True)
+        return np.array([max(_freedom(int(a), m, self.samples), 1.0) for m, a in rows], dtype=np.float64)
+
+    def limits(self, freedom: Floats) -> tuple[Floats, Floats]:
+        """Return lower and upper limit (k,) of the deviation at 95 % (chi-square with these degrees)."""
+        tail = (1.0 - CONFIDENCE) / 2.0
+        low = self.deviation * np.sqrt(freedom / special.chdtri(freedom, tail))
+        high = self.deviation * np.sqrt(freedom / special.chdtri(freedom, 1.0 - tail))
+        return np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+
+
+def allan_curve(signal: Floats, interval_s: float, multiples: Sequence[int] | None = None) -> AllanCurve:
+    """Return the overlapping Allan deviation of samples (n,), one every `interval_s`.
+
+    At averages of 1, 2, 4, … samples up to a quarter of the record, or of `multiples`, in order, as far as the
+    record has two differences of such averages. Raises `CalibrationError` when it has of none, when the signal
+    never changes, and when a sample is not a number.
+    """
+    if not np.all(np.isfinite(signal)):
+        raise CalibrationError("a sample is not a number; an Allan deviation needs a record without holes")
+    if np.ptp(signal) == 0.0:
+        raise CalibrationError(
+            "a signal is the same in every sample; check its cable, and that the record has enough digits"
+        )
+    most = len(signal) // LONGEST_PART
+    asked = 2 ** np.arange(int(np.log2(most)) + 1) if multiples is None else np.unique(multiples)
+    found = asked[(asked > 0) & (2 * asked < len(signal))].astype(np.int64)
+    if not len(found):
+        raise CalibrationError(f"{len(signal)} samples are too few for two differences of such averages")
+    # sums of what is left beside the mean: those of a large mean would swallow the noise's last digits
+    sums = np.concatenate([[0.0], np.cumsum(signal - signal.mean())])
+    deviation = [_deviation(sums, m) for m in found.tolist()]
+    tau_s = found.astype(np.float64) * interval_s
+    return AllanCurve(tau_s, np.array(deviation, dtype=np.float64), found, len(signal))
+
+
+def _deviation(sums: Floats, m: int) -> float:
+    """Overlapping Allan deviation at m samples of a signal's running sums (n + 1,): SP 1065, eq. 11."""
+    second = sums[2 * m :] - 2.0 * sums[m:-m] + sums[: -2 * m]
+    return float(np.sqrt(np.mean(second**2) / 2.0) / m)
+
+
+def _freedom(alpha: int, m: int, samples: int) -> float:
+    """Degrees of freedom at m samples: Greenhall and Riley's cases 2 and 4, for d = 2, F = S = m."""
+    windows = samples + 1 - 2 * m
+    r = windows / m
+    if alpha == 2:  # windows of white phase noise are alike one and two averages apart only
+        one, two = max(1.0 - 1.0 / r, 0.0), max(1.0 - 2.0 / r, 0.0)
+        return windows / (1.0 + 2.0 * (16.0 * one + two) / 36.0)
+    a0, a1 = LONG_RECORD[alpha]
+    lags = min(windows, 3 * m)
+    if lags <= LAGS:
+        return _summed(alpha, lags, windows, m, m if 3 * m <= LAGS else np.inf)
+    return r / (a0 - a1 / r) if r > 3.0 else _summed(alpha, LAGS, LAGS, LAGS / r, np.inf)
+
+
+def _summed(alpha: int, lags: int, windows: int, stride: float, width: float) -> float:
+    """Degrees of freedom from the correlations of windows 0 … lags strides apart: their eq. 10."""
+    j = np.arange(lags + 1)
+    alike = _covariance(j / stride, alpha, width)
+    weight = 2.0 * (1.0 - j / windows)
+    weight[[0, -1]] /= 2.0
+    return windows / float(weight @ (alike / alike[0]) ** 2)
+
+
+def _covariance(t: Floats, alpha: int, width: float) -> Floats:
+    """Covariance, but for a factor, of second differences t (…) averages apart: their eq. 7 to 9.
+
+    Of averages of `width` samples each, or of a signal without steps where it is infinite.
+    """
+    apart = np.asarray(t)[..., None] + np.arange(-2.0, 3.0)
+    if np.isinf(width):
+        averaged = _kernel(apart, alpha + 2)
+    else:
+        near = apart[..., None] + np.array([-1.0, 0.0, 1.0]) / width
+        averaged = _kernel(near, alpha) @ np.array([1.0, -2.0, 1.0])
+    return np.asarray(averaged @ np.array([1.0, -4.0, 6.0, -4.0, 1.0]), dtype=np.float64)
+
+
+def _kernel(t: Floats, alpha: int) -> Floats:
+    """Covariance, but for its sign, of phase t (…) apart: |t|^(3 - alpha), times ln |t| where that is even."""
+    size = np.abs(t)
+    power = size ** (3 - alpha)
+    return np.asarray(power if alpha % 2 == 0 else special.xlogy(power, size), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Term:
+    """A noise term: its symbol, what it is called, its unit over the signal's, how it enters sigma^2.
+
+    sigma^2 = `factor` x^2 tau^`power`; `alpha` is the power of frequency in its spectrum; `alike` the
+    correlation of the Allan variances at tau and 2 tau where it prevails (found by simulation).
+    """
+
+    symbol: str
+    name: str
+    unit: str
+    factor: float
+    power: int
+    alpha: int
+    alike: float
+
+
+TERMS: Final = (
+    Term("Q", "quantisation", " s", 3.0, -2, 2, 0.5),
+    Term("N", "white noise", "/√Hz", 1.0, -1, 0, 0.55),
+    Term("B", "bias instability", "", 2.0 * float(np.log(2.0)) / np.pi, 0, -1, 0.7),
+    Term("K", "rate random walk", "/√s", 1.0 / 3.0, 1, -2, 0.9),
+    Term("R", "drift", "/s", 0.5, 2, -2, 0.95),
+)
+SHOWN: Final = 2.0
+"""A term is shown when its square is more than this many standard uncertainties from nothing."""
+ROUNDS: Final = 50
+MISFIT_P: Final = 0.001
+
+
+@dataclass(frozen=True)
+class NoiseTerms:
+    """Squares of Q, N, B, K, R (5,) with covariance (5, 5) and what they make of the curve.
+
+    `freedom` (k,) are the degrees of freedom of the curve's values; `p` is the probability of a misfit so large:
+    small where lines in the spectrum (vibration) make the curve none of these terms; below 0.001 the covariance
+    is widened by the misfit (Birge's ratio).
+    """
+
+    squares: Floats
+    covariance: Floats
+    freedom: Floats
+    p: float
+
+    @property
+    def values(self) -> Floats:
+        """Q, N, B, K, R, each at least 0, shape (5,)."""
+        return np.sqrt(np.maximum(self.squares, 0.0))
+
+    @property
+    def shown(self) -> Mask:
+        """Which terms the record shows, shape (5,)."""
+        return self.squares > SHOWN * u_of(self.covariance)
+
+    @property
+    def u(self) -> Floats:
+        """Standard uncertainties of the terms shown, NaN for the others, shape (5,)."""
+        value = np.where(self.shown, self.values, np.nan)
+        return np.asarray(u_of(self.covariance) / (2.0 * value), dtype=np.float64)
+
+    @property
+    def upper(self) -> Floats:
+        """Upper limits of the terms at about 97.5 %, shape (5,)."""
+        return np.asarray(np.sqrt(self.squares + 2.0 * u_of(self.covariance)), dtype=np.float64)
+
+    def deviation(self, tau_s: Floats | float) -> Floats:
+        """Return the Allan deviation that the terms make at averaging times (…)."""
+        return np.asarray(np.sqrt(_columns(np.asarray(tau_s, dtype=np.float64)) @ self.squares))
+
+    def slope(self, tau_s: Floats | float) -> Floats:
+        """Return d log sigma / d log tau at averaging times (…): -1/2 where white noise prevails."""
+        tau = np.asarray(tau_s, dtype=np.float64)
+        parts = _columns(tau) * self.squares
+        powers = np.array([term.power for term in TERMS])
+        return np.asarray(parts @ powers / (2.0 * parts.sum(axis=-1)), dtype=np.float64)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the terms by symbol, in the unit of the signal and seconds; null where not shown."""
+        rows = zip(TERMS, self.values, self.u, self.upper, self.shown, strict=True)
+        return {
+            term.symbol: {
+                "value": float(value) if shown else None,
+                "u": float(u) if shown else None,
+                "upper": float(upper),
+                "called": term.name,
+            }
+            for term, value, u, upper, shown in rows
+        }
+
+
+def fit_terms(curve: AllanCurve) -> NoiseTerms:
+    """Fit the five terms, none negative, to an Allan deviation at averages of 1, 2, 4, … samples.
+
+    Weighted by the degrees of freedom of each value, with the variances that the fit itself predicts (Fisher's
+    scoring of scaled chi-squares); the covariance counts with the likeness of neighbouring values.
+    """
+    columns, measured = _columns(curve.tau_s), curve.deviation**2
+    squares, white = _start(curve, columns, measured), curve.freedom(np.zeros(len(measured)))
+    for _ in range(ROUNDS):
+        predicted = columns @ squares
+        kind = np.argmax(columns * squares, axis=1)
+        # quantisation would have thousands of degrees at any time: no record of something real does
+        freedom = np.minimum(white, curve.freedom(np.array([TERMS[k].alpha for k in kind])))
+        weight = np.sqrt(freedom / 2.0) / predicted
+        scaled, scale = _unit_columns(columns * weight[:, None])
+        new = optimize.nnls(scaled, measured * weight)[0] / scale
+        still = np.allclose(columns @ new, predicted, rtol=1e-9)
+        squares = new
+        if still:
+            break
+    predicted = columns @ squares
+    spread = _spread(predicted, freedom, kind)
+    weighted = (columns * weight[:, None]) / scale
+    free = squares > 0
+    covariance = np.zeros((len(TERMS), len(TERMS)))
+    # a term at its bound of nothing leaves the others as they are; how large it could be, all five tell
+    for solved, of in ((np.ones_like(free), ~free), (free, free)):
+        solver = np.zeros((len(TERMS), len(measured)))
+        solver[solved] = np.linalg.pinv(weighted[:, solved]) * weight
+        whole = solver @ spread @ solver.T / np.outer(scale, scale)
+        covariance[np.ix_(of, of)] = whole[np.ix_(of, of)]
+    left = measured - predicted
+    chi2 = float(left @ np.linalg.solve(spread, left))
+    dof = max(len(measured) - int(free.sum()), 1)
+    p = float(special.chdtrc(dof, chi2))
+    if p < MISFIT_P:
+        covariance *= chi2 / dof
+    return NoiseTerms(squares, covariance, freedom, p)
+
+
+def _columns(tau_s: Floats) -> Floats:
+    """What one of each square adds to the Allan variance at averaging times (…), shape (…, 5)."""
+    powers = np.array([float(term.power) for term in TERMS])
+    factors = np.array([term.factor for term in TERMS])
+    return np.asarray(factors * tau_s[..., None] ** powers, dtype=np.float64)
+
+
+def _start(curve: AllanCurve, columns: Floats, measured: Floats) -> Floats:
+    """All terms alike at the middle of the curve, so that none begins at its bound."""
+    middle = len(measured) // 2
+    return np.asarray(measured[middle] / columns[middle] / len(TERMS), dtype=np.float64)
+
+
+def _unit_columns(columns: Floats) -> tuple[Floats, Floats]:
+    scale = np.linalg.norm(columns, axis=0)
+    return columns / scale, scale
+
+
+def _spread(predicted: Floats, freedom: Floats, kind: Ints) -> Floats:
+    """Covariance (k, k) of the measured variances: 2 sigma^4/edf each, neighbours alike as their noise makes."""
+    alike = np.array([TERMS[k].alike for k in kind])
+    steps = np.concatenate([[0.0], np.cumsum(np.log(np.sqrt(alike[1:] * alike[:-1])))])
+    correlation = np.exp(-np.abs(steps[:, None] - steps[None, :]))
+    size = predicted * np.sqrt(2.0 / freedom)
+    return np.asarray(correlation * np.outer(size, size), dtype=np.float64)
+
+
+FLAT: Final = -0.25
+"""Slope of the logarithms at which the deviation counts as flat: half of that of white noise."""
+LEAST_SAMPLES: Final = 10
+"""A reading has so many samples at least, so that their scatter tells of the noise."""
+REJECTS_LINE: Final = 1.0
+"""Integration times of whole power-line cycles reject the line; shorter ones do not."""
+
+
+@dataclass(frozen=True)
+class Averaging:
+    """The averaging time that a signal deserves, s, what is left of the noise then, and why this time.
+
+    `reached` is false where a size was asked for that no averaging time of the record reaches.
+    """
+
+    tau_s: float
+    deviation: float
+    why: str
+    reached: bool = True
+
+
+@dataclass(frozen=True)
+class ReadingAdvice:
+    """Samples of a reading and power-line cycles of each; `tau_s` is the time that they average over."""
+
+    samples: int
+    nplc: float
+    tau_s: float
+
+    def line(self) -> str:
+        """Return the line of a procedure file."""
+        return f"reading: {{samples: {self.samples}, nplc: {self.nplc:g}}}"
+
+
+def averaging(curve: AllanCurve, terms: NoiseTerms, wanted: float | None = None) -> Averaging:
+    """Return the averaging time for a signal.
+
+    With `wanted`, the shortest of the curve's times at which the upper limit (95 %) of the Allan deviation is
+    no more. Else where the noise terms stop falling: the slope there is half of that of white noise, and longer
+    averages gain little; or the longest time that the curve has, where they still fall.
+    """
+    _, high = curve.limits(terms.freedom)
+    if wanted is not None:
+        enough = high <= wanted
+        if np.any(enough):
+            k = int(np.argmax(enough))
+            return Averaging(float(curve.tau_s[k]), float(curve.deviation[k]), "the size asked for")
+        k = int(np.argmin(high))
+        why = f"the size asked for is not reached; here it is least, at most {high[k]:.2g}"
+        return Averaging(float(curve.tau_s[k]), float(curve.deviation[k]), why, reached=False)
+    fine = np.geomspace(curve.tau_s[0], curve.tau_s[-1], 400)
+    flat = terms.slope(fine) >= FLAT
+    if flat[0]:
+        tau, why = float(curve.tau_s[0]), "the deviation does not fall from the first sample on"
+    elif np.any(flat):
+        tau, why = float(fine[int(np.argmax(flat))]), "from here on longer averages gain little"
+    else:
+        tau, why = float(curve.tau_s[-1]), "the deviation still falls; the record is too short to show more"
+    return Averaging(tau, float(np.interp(tau, curve.tau_s, curve.deviation)), why)
+
+
+def reading_advice(
+    tau_s: float, line_frequency_hz: float, nplc: Sequence[float], most_samples: int
+) -> ReadingAdvice:
+    """Return samples and NPLC whose product averages over `tau_s` at least.
+
+    The longest integration time that leaves ten samples, of the meter's `nplc` (power-line cycles) that
+    reject the line. Raises `CalibrationError` when the meter cannot average so long in one reading.
+    """
+    cycles = tau_s * line_frequency_hz
+    usable = sorted(n for n in nplc if n >= REJECTS_LINE)
+    if not usable:
+        raise CalibrationError("the voltmeters have no integration time of a whole power-line cycle")
+    fitting = [n for n in usable if n * LEAST_SAMPLES <= cycles] or usable[:1]
+    each = fitting[-1]
+    samples = max(LEAST_SAMPLES, int(np.ceil(cycles / each - 1e-9)))
+    if samples > most_samples:
+        raise CalibrationError(
+            f"an averaging time of {tau_s:.3g} s takes {samples} samples of {each:g} power-line cycles, but a "
+            f"reading has {most_samples} at most; ask for a larger size with --size"
+        )
+    return ReadingAdvice(samples, each, samples * each / line_frequency_hz)

@@ -1,0 +1,383 @@
+"""Optimal designs by greedy addition and exchange, and the goals that they serve."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import Floats, Ints
+from bench.calibration.budget.acceleration import directions
+from bench.calibration.design import FIXED
+from bench.calibration.result import CalibrationError, Noise
+from bench.calibration.verification import modulus_slopes
+from bench.model.block import COEFFICIENTS, Block
+from bench.planning.settings import Setting
+
+DIRECTIONS: Final = 128
+"""Directions over which an acceleration is taken."""
+WHOLE: Final = 10.0
+LEAST_WHOLE_G: Final = 1e-3
+"""How well the whole block is to be known beside the goals: so many times what they ask, never less than 1 mg."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Functionals (k, 12) of the coefficients, whose variances add up, and the u that is asked for.
+
+    `floor` is what no calibration takes away, as a variance: the noise of the reading that is judged, at the
+    verification point `judged`, and in a plan what no reading shows. A `loose` goal only keeps a plan a
+    calibration of the whole block.
+    """
+
+    name: str
+    functionals: Floats
+    asked: float
+    unit: str
+    floor: float = 0.0
+    judged: Setting | None = None
+    loose: bool = False
+
+    def variance(self, covariance: Floats) -> float:
+        """Return the variance that a covariance (12, 12) of the coefficients gives, without the floor."""
+        return float(np.einsum("ki,ij,kj->", self.functionals, covariance, self.functionals))
+
+    def u(self, covariance: Floats) -> float:
+        """Return the standard uncertainty that a covariance (12, 12) of the coefficients gives."""
+        return float(np.sqrt(self.variance(covariance) + self.floor))
+
+    def ratio(self, covariance: Floats) -> float:
+        """Return the uncertainty in units of what is asked: at most 1 where the goal is reached."""
+        return self.u(covariance) / self.asked
+
+    def relaxed(self, endless: float) -> Goal:
+        """Return a loose goal no tighter than twice what endlessly many readings leave, a variance `endless`."""
+        return replace(self, asked=max(self.asked, 2.0 * float(np.sqrt(endless)))) if self.loose else self
+
+    def tightened(self, wider2: float) -> Goal:
+        """Return the goal that allows so many times less variance above the floor."""
+        return replace(self, asked=float(np.sqrt(self.floor + (self.asked**2 - self.floor) / wider2)))
+
+
+def coefficient_goals(asked: Mapping[str, float]) -> list[Goal]:
+    """Return a goal for each coefficient by name, V/g and V; "all" stands for those not named, "K", "U0" likewise.
+
+    Raises `CalibrationError` for another name or a size that is not positive.
+    """
+    sizes: dict[str, float] = {}
+    for wanted in ("all", "K", "U0"):
+        if wanted in asked:
+            sizes |= {n: asked[wanted] for n in COEFFICIENTS if wanted == "all" or n.startswith(wanted)}
+    for name, size in asked.items():
+        if name not in {*COEFFICIENTS, "all", "K", "U0"}:
+            known = ", ".join(COEFFICIENTS)
+            raise CalibrationError(f"no coefficient {name!r}; there are {known}, and K, U0, all")
+        _require_positive(name, size)
+        if name in COEFFICIENTS:
+            sizes[name] = size
+    identity = np.eye(len(COEFFICIENTS))
+    return [
+        Goal(name, identity[[i]], sizes[name], "V" if name.startswith("U0") else "V/g")
+        for i, name in enumerate(COEFFICIENTS)
+        if name in sizes
+    ]
+
+
+def delta_g_goals(
+    block: Block, force: Floats, reading_v: float, asked_g: float, at: Sequence[Setting]
+) -> list[Goal]:
+    """Return a goal for Delta g `at` each verification point, specific forces (n, 3) in g of modulus 1.
+
+    The noise `reading_v` of the reading at the point counts. Raises `CalibrationError` where it alone is more
+    than what is asked.
+    """
+    _require_positive("Δg", asked_g)
+    functionals, by_signal = modulus_slopes(force, block)
+    floors = reading_v**2 * np.sum(by_signal**2, axis=1)
+    if np.max(floors) >= asked_g**2:
+        raise CalibrationError(
+            f"u(Δg) of {asked_g:.3g} g cannot be reached by any calibration: one reading at a verification "
+            f"point has {np.sqrt(np.max(floors)):.2g} g by itself; lower voltmeter_error in the bench file "
+            "(more samples a reading) or ask for less"
+        )
+    return [
+        Goal(f"Δg at verification point {i + 1}", functionals[[i]], asked_g, "g", float(floors[i]), at[i])
+        for i in range(len(force))
+    ]
+
+
+def modulus_goals(block: Block, magnitude_g: float, asked_g: float) -> list[Goal]:
+    """Return goals for the modulus of any specific force up to a magnitude: over directions, and at zero.
+
+    The variance is convex in the magnitude, so that it is largest at an end.
+    """
+    _require_positive("the modulus", asked_g)
+    _require_positive("the magnitude", magnitude_g)
+    # d|a| = -(a/|a|)^T N (dK a + dU0): its part by K grows with the magnitude, that by U0 does not
+    slopes, _ = modulus_slopes(directions(DIRECTIONS), block)
+    size = np.ones(len(COEFFICIENTS))
+    goals = []
+    for magnitude in (magnitude_g, 0.0):
+        size[:9] = magnitude
+        goals += [Goal(f"|a| at {magnitude:g} g", row[None] * size, asked_g, "g") for row in slopes]
+    return goals
+
+
+def vector_goal(block: Block, magnitude_g: float = 1.0, asked_g: float = 1.0) -> Goal:
+    """Return the goal of the error vector of a measured specific force: root mean square over directions."""
+    inverse = np.linalg.inv(block.K)
+    force = magnitude_g * directions(DIRECTIONS)[:DIRECTIONS]  # the even ones
+    weight = np.zeros((12, 12))
+    for a in force:
+        rows = np.concatenate([np.einsum("ki,j->kij", inverse, a).reshape(3, 9), inverse], axis=1)
+        weight += rows.T @ rows / len(force)
+    size, vectors = np.linalg.eigh(weight)
+    name = f"rms error vector at {magnitude_g:g} g"
+    return Goal(name, (vectors * np.sqrt(np.maximum(size, 0.0))).T, asked_g, "g")
+
+
+def whole_goal(block: Block, goals: Sequence[Goal]) -> Goal:
+    """Return the goal that keeps a plan a calibration of the whole block, loose beside what is asked.
+
+    Readings that tell one coefficient alone would leave the others unknown.
+    """
+    typical = float(np.max(np.abs(block.K)))
+    asked = max(goal.asked / (typical if goal.unit.startswith("V") else 1.0) for goal in goals)
+    goal = vector_goal(block, 1.0, max(WHOLE * asked, LEAST_WHOLE_G))
+    return replace(goal, name=f"whole block: {goal.name}", loose=True)
+
+
+def worst(goals: Sequence[Goal], covariance: Floats) -> Goal:
+    """Return the goal that is furthest from reached."""
+    return max(goals, key=lambda goal: goal.ratio(covariance))
+
+
+def _require_positive(name: str, size: float) -> None:
+    if not (np.isfinite(size) and size > 0):
+        raise CalibrationError(f"the uncertainty asked for {name} is a positive number, not {size:g}")
+
+
+_POWERS: Final = (8.0, 40.0)
+"""The largest of several ratios is taken as their power mean: of the first order, smooth, then nearly itself."""
+_WITHIN_REACH: Final = 1.05
+"""Exchanges bring the largest ratio down by a few percent; they are not tried from further away."""
+_GAIN: Final = 1e-6
+_WEAKLY_KNOWN: Final = 1.0
+"""Prior of the coefficients, in V/g and V: wide beside any calibration; only makes the first steps possible."""
+_DETERMINED: Final = 1e-2
+_MANY: Final = 1e5
+LEAST_FREEDOM: Final = 6
+"""Signals more than unknowns that a plan must have: fewer tell nothing of the noise."""
+
+
+@dataclass(frozen=True)
+class SettingPool:
+    """Settings that may be chosen: whitened derivatives `rows` (c, 3, p), the 12 coefficients first.
+
+    The p - 12 angles of the mountings are in units of their prior standard uncertainty.
+    """
+
+    rows: Floats
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns p."""
+        return int(self.rows.shape[2])
+
+    @cached_property
+    def information(self) -> Floats:
+        """What one visit to each candidate adds, shape (c, p, p)."""
+        return np.asarray(np.einsum("cip,ciq->cpq", self.rows, self.rows))
+
+
+class ExchangeDesign:
+    """Visits `counts` (c,) to the candidates, for goals; moves change them one visit at a time.
+
+    They stay between `least` and `most` (c,), where these are given.
+    """
+
+    def __init__(
+        self,
+        candidates: SettingPool,
+        goals: Sequence[Goal],
+        counts: Ints | None = None,
+        least: Ints | None = None,
+        most: Ints | None = None,
+    ) -> None:
+        self._rows = candidates.rows
+        self._information_of = candidates.information
+        self._functionals = np.concatenate([goal.functionals for goal in goals])
+        self._goal = np.repeat(np.arange(len(goals)), [len(goal.functionals) for goal in goals])
+        self._floor = np.array([goal.floor for goal in goals])
+        self._asked2 = np.array([goal.asked for goal in goals]) ** 2
+        prior = np.ones(candidates.unknowns)
+        prior[:FIXED] = _WEAKLY_KNOWN**-2
+        self._prior = np.diag(prior)
+        self.counts = np.zeros(len(self._rows), dtype=np.int64) if counts is None else counts.copy()
+        self._least = np.zeros_like(self.counts) if least is None else least
+        self._most = np.full_like(self.counts, np.iinfo(np.int64).max) if most is None else most
+
+    @property
+    def settings(self) -> int:
+        """How many visits there are."""
+        return int(self.counts.sum())
+
+    def covariance(self, counts: Floats | Ints | None = None) -> Floats:
+        """Return the joint covariance (p, p) of coefficients and angles."""
+        weight = self.counts if counts is None else counts
+        information = self._prior + np.tensordot(weight.astype(np.float64), self._information_of, axes=1)
+        scale = 1 / np.sqrt(np.diag(information))
+        return np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+
+    @property
+    def coefficient_covariance(self) -> Floats:
+        """Covariance of the coefficients, shape (12, 12)."""
+        return self.covariance()[:FIXED, :FIXED]
+
+    @property
+    def largest(self) -> float:
+        """The largest ratio of an uncertainty to what is asked, the noise being estimated from the readings."""
+        wider2 = widening(3 * self.settings - len(self._prior)) ** 2
+        variances = wider2 * (self._variances(self.covariance()) - self._floor) + self._floor
+        return self._largest(variances)
+
+    def limit(self) -> float:
+        """Return the largest ratio that is left when every candidate is visited without end."""
+        return self._largest(self._variances(self.covariance(np.full(len(self._rows), _MANY))))
+
+    @property
+    def determines(self) -> bool:
+        """Whether all candidates together determine the coefficients, and not their weak prior alone."""
+        covariance = self.covariance(np.full(len(self._rows), _MANY))
+        return bool(np.max(np.diag(covariance)[:FIXED]) < _DETERMINED)
+
+    # --- moves --------------------------------------------------------------------------------------
+
+    def add_best(self) -> None:
+        """Visit once more the candidate that helps most."""
+        gain = self._after(self.covariance(), 1.0, _POWERS[0])
+        self.counts[int(np.argmin(np.where(self.counts < self._most, gain, np.inf)))] += 1
+
+    def drop_least(self) -> None:
+        """Leave out the visit that matters least."""
+        loss = self._after(self.covariance(), -1.0, _POWERS[-1])
+        loss[self.counts <= self._least] = np.inf
+        self.counts[int(np.argmin(loss))] -= 1
+
+    def exchange(self) -> None:
+        """Exchange visits for others as long as that brings the goals nearer."""
+        for power in _POWERS if len(self._asked2) > 1 else _POWERS[:1]:
+            score = float(self._score(self._variances(self.covariance()), power))
+            while (better := self._exchanged(score, power)) < score:
+                score = better
+
+    def _exchanged(self, score: float, power: float) -> float:
+        """Make the first exchange that helps, visits that matter least first; return the score after it."""
+        loss = self._after(self.covariance(), -1.0, power)
+        for leave in sorted(np.flatnonzero(self.counts > self._least), key=loss.__getitem__):
+            self.counts[leave] -= 1
+            scores = self._after(self.covariance(), 1.0, power)
+            scores = np.where(self.counts < self._most, scores, np.inf)
+            enter = int(np.argmin(scores))
+            if scores[enter] < score * (1 - _GAIN):
+                self.counts[enter] += 1
+                return float(scores[enter])
+            self.counts[leave] += 1
+        return score
+
+    # --- what a design is worth ---------------------------------------------------------------------
+
+    def _variances(self, covariance: Floats) -> Floats:
+        each = np.einsum(
+            "ki,ij,kj->k", self._functionals, covariance[:FIXED, :FIXED], self._functionals, optimize=True
+        )
+        return np.asarray(np.bincount(self._goal, each) + self._floor)
+
+    def _after(self, covariance: Floats, sign: float, power: float) -> Floats:
+        """Return the score after one visit more (+1) or less (-1) of each candidate, by Woodbury's identity."""
+        through = self._rows @ covariance
+        core = np.eye(3) + sign * through @ np.swapaxes(self._rows, 1, 2)
+        seen = through[:, :, :FIXED] @ self._functionals.T
+        solved = np.linalg.solve(core, seen)
+        change = np.einsum("cik,cik->ck", seen, solved)
+        variances = self._variances(covariance)
+        goals = np.zeros((len(change), len(self._floor)))
+        np.add.at(goals.T, self._goal, change.T)
+        after = variances - sign * goals
+        if sign < 0:  # what is left may no longer determine everything
+            after = np.where(np.linalg.det(core)[:, None] > 1e-9, after, np.inf)
+        return self._score(after, power)
+
+    def _largest(self, variances: Floats) -> float:
+        return float(np.sqrt(np.max(variances / self._asked2)))
+
+    def _score(self, variances: Floats, power: float) -> Floats:
+        """Power mean of the ratios squared, over the last axis; infinite where one of them is."""
+        ratio = np.maximum(variances, 0.0) / self._asked2
+        top = np.max(ratio, axis=-1)
+        size = np.where(np.isfinite(top) & (top > 0), top, 1.0)
+        part = np.where(np.isfinite(ratio), ratio, 0.0) / size[..., None]
+        mean: Floats = size * np.sum(part**power, axis=-1) ** (1 / power)
+        return np.where(np.isfinite(top), mean, np.inf)
+
+
+def widening(freedom: float) -> float:
+    """Return how much larger an uncertainty is whose noise is estimated with so many degrees of freedom."""
+    return Noise(1.0, 1.0, max(float(freedom), 1.0), "residuals").widened().reading
+
+
+def least_settings(candidates: SettingPool) -> int:
+    """Return the fewest settings that tell the coefficients, the angles of the mountings and the noise."""
+    return -(-(candidates.unknowns + LEAST_FREEDOM) // 3)
+
+
+def even(candidates: SettingPool, mounts: int, settings: int) -> Ints:
+    """Return counts (c,) of settings spread evenly over the mountings and over the angles of each."""
+    angles = len(candidates.rows) // mounts
+    counts = np.zeros((mounts, angles), dtype=np.int64)
+    for mount in range(mounts):
+        own = (settings + mounts - 1 - mount) // mounts
+        np.add.at(counts[mount], np.round(np.arange(own) * angles / max(own, 1)).astype(np.int64) % angles, 1)
+    return counts.ravel()
+
+
+def best_of(candidates: SettingPool, goals: Sequence[Goal], mounts: int, settings: int) -> ExchangeDesign:
+    """Return the best design of so many settings that exchanges find, from a greedy and from an even start."""
+    greedy = ExchangeDesign(candidates, goals)
+    for _ in range(settings):
+        greedy.add_best()
+    spread = ExchangeDesign(candidates, goals, even(candidates, mounts, settings))
+    for design in (greedy, spread):
+        design.exchange()
+    return min((greedy, spread), key=lambda design: design.largest)
+
+
+def fewest(candidates: SettingPool, goals: Sequence[Goal], mounts: int, most: int) -> ExchangeDesign | None:
+    """Return the design with the fewest settings found that reaches all goals, None with more than `most`."""
+    design = ExchangeDesign(candidates, goals)
+    if design.limit() > 1:
+        return None
+    least = least_settings(candidates)
+    while (design.largest > 1 or design.settings < least) and design.settings < most:
+        design.add_best()
+    if design.largest > _WITHIN_REACH or most < least:
+        return None
+    if design.largest > 1:
+        design = best_of(candidates, goals, mounts, most)
+        if design.largest > 1:
+            return None
+    while True:
+        reached = design.counts.copy()
+        if design.settings == least:
+            return design
+        design.drop_least()
+        if design.largest > 1:
+            design.exchange()
+        if design.largest > 1:
+            design = ExchangeDesign(candidates, goals, even(candidates, mounts, design.settings))
+            design.exchange()
+        if design.largest > 1:
+            return ExchangeDesign(candidates, goals, reached)

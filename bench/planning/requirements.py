@@ -1,0 +1,282 @@
+"""The inverse of the budget: how large each error of a bench may be for a required accuracy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final, Literal
+
+import numpy as np
+from scipy.optimize import brentq
+
+from bench.base.arrays import Floats
+from bench.calibration.budget.acceleration import delta_g, directions, measured
+from bench.calibration.budget.coefficients import Budget, make_budget
+from bench.calibration.budget.error_source import ErrorSource
+from bench.calibration.budget.setup import Setup
+from bench.calibration.result import CalibrationError
+from bench.model.block import COEFFICIENTS
+
+Target = Callable[[Budget], Floats]
+"""Variances (points, sources) of what is required, in the order of the budget's contributions.
+
+Each point (a verification point, a direction) has to keep to the accuracy.
+"""
+
+BEYOND: Final[Mapping[str, float]] = {"rad": math.radians(5.0), "V": 10.0, "K": 100.0, "1": 1.0}
+"""Standard uncertainties that no bench has, by unit: what holds for them holds without limit."""
+_DIRECTIONS: Final = 100
+_PRECISE: Final = 1e-8
+_ROUNDS: Final = 60
+_DECADES: Final = 5
+_ROUNDING: Final = 1e-6
+_SETTLED: Final = 1e-4
+_LEAST_PART: Final = 1e-9
+_NO_BALANCE: Final = "no balanced set of sizes was found; take the limits of each error alone"
+
+
+def of_delta_g(*, reading: bool) -> Target:
+    """Return delta g at the verification points, from the coefficients' errors, or with those of its `reading`."""
+
+    def variances(budget: Budget) -> Floats:
+        found = delta_g(budget, 1.0, reading=reading)
+        if not found:
+            raise CalibrationError(
+                "the procedure has no verification point, so nothing is known of Δg; take one that has"
+            )
+        return np.array([list(point.by_source.values()) for point in found]) ** 2
+
+    return variances
+
+
+def of_coefficient(name: str) -> Target:
+    """Return a coefficient by its name. Raises `CalibrationError` for another."""
+    if name not in COEFFICIENTS:
+        raise CalibrationError(f"no coefficient {name!r}; there are {', '.join(COEFFICIENTS)}")
+    index = COEFFICIENTS.index(name)
+    return lambda budget: np.array([[c.u[index] ** 2 for c in budget.contributions]])
+
+
+def of_acceleration(magnitude_g: float, *, reading: bool, modulus: bool) -> Target:
+    """Return a measured acceleration in any direction: the root of the sum of three variances, or its modulus.
+
+    The variance is convex in the magnitude, so that the largest one is the worst of all up to it.
+    """
+    force = magnitude_g * directions(_DIRECTIONS)
+
+    def variances(budget: Budget) -> Floats:
+        found = measured(budget, force, reading=reading)
+        by_source = found.by_source.values()
+        if modulus:
+            return np.stack([found.modulus_variance(c) for c in by_source], axis=1)
+        return np.stack([np.trace(c, axis1=1, axis2=2) for c in by_source], axis=1)
+
+    return variances
+
+
+@dataclass(frozen=True)
+class Limit:
+    """How large the standard uncertainty `u` of a source may be.
+
+    Infinite where any size will do, None where the accuracy cannot be reached with a size of zero.
+    """
+
+    source: ErrorSource
+    u: float | None
+
+    @property
+    def verdict(self) -> Literal["limit", "no limit", "cannot be reached"]:
+        """What kind of answer it is."""
+        if self.u is None:
+            return "cannot be reached"
+        return "no limit" if math.isinf(self.u) else "limit"
+
+    @property
+    def stated(self) -> float | None:
+        """The limit as the bench file states the error: for a rectangular distribution, or so many sigma."""
+        if self.u is None or math.isinf(self.u):
+            return None
+        return self.u / replace(self.source.distribution, limit=1.0).u
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as JSON values, in SI."""
+        finite = self.u is not None and math.isfinite(self.u)
+        return {
+            "name": self.source.name,
+            "symbol": self.source.symbol,
+            "unit": self.source.unit,
+            "verdict": self.verdict,
+            "u": self.u if finite else None,
+            "limit": self.stated,
+            "distribution": self.source.distribution.shape,
+            "k": self.source.distribution.k,
+            "u_now": self.source.u,
+        }
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """What is required: that `k` standard uncertainties of a target keep to `accuracy`.
+
+    The coefficients come from the readings of `setup` by `estimator`.
+    """
+
+    setup: Setup
+    sources: tuple[ErrorSource, ...]
+    estimator: str
+    target: Target
+    accuracy: float
+    k: float
+
+    def __post_init__(self) -> None:
+        for name, value in (("the accuracy", self.accuracy), ("k", self.k)):
+            if not (math.isfinite(value) and value > 0):
+                raise CalibrationError(f"{name} is a positive number, not {value:g}")
+
+    @property
+    def allowed2(self) -> float:
+        """The variance that is allowed."""
+        return (self.accuracy / self.k) ** 2
+
+    def by_point(self, sizes: Mapping[str, float]) -> Floats:
+        """Return the variances (points, sources), with standard uncertainties by name.
+
+        Sources that are not named have their own. The estimator knows these sizes.
+        """
+        sized = [s.sized(sizes[s.name]) if s.name in sizes else s for s in self.sources]
+        return self.target(make_budget(self.setup, sized, self.estimator))
+
+    def variances(self, sizes: Mapping[str, float]) -> Floats:
+        """Return the variances by source (s,) at the worst point, for sizes as above."""
+        found = self.by_point(sizes)
+        return np.asarray(found[int(np.argmax(found.sum(axis=1)))])
+
+    def reached(self, sizes: Mapping[str, float] | None = None) -> float:
+        """Return k u of the target at the worst point: at the bench's own sizes, but for those given."""
+        if not sizes:
+            return self.k * math.sqrt(float(self._own.sum()))
+        return self.k * math.sqrt(float(self.variances(sizes).sum()))
+
+    @cached_property
+    def _own(self) -> Floats:
+        return self.variances({})
+
+    def keeps(self, reached: float) -> bool:
+        """Whether k u keeps to the accuracy, but for the rounding of sizes that were written to a file."""
+        return reached <= self.accuracy * (1.0 + _ROUNDING)
+
+    def shares(self) -> dict[str, float]:
+        """Return each source's part of the variance at the worst point, at the bench's own sizes."""
+        total = float(self._own.sum())
+        return {s.name: float(v) / total for s, v in zip(self.sources, self._own, strict=True)}
+
+    # --- each alone ---------------------------------------------------------------------------------
+
+    def alone(self, source: ErrorSource) -> Limit:
+        """Return how large one source may be, the others being as the bench has them."""
+
+        def excess(u: float) -> float:
+            return float(self.variances({source.name: u}).sum()) / self.allowed2 - 1.0
+
+        beyond = BEYOND.get(source.unit, 1.0)
+        if excess(beyond) <= 0.0:
+            return Limit(source, math.inf)
+        start = min(source.u or 1e-6 * beyond, beyond / 2)
+        # a larger error may do less harm: the estimator that believes a reading perfect trusts it too much
+        sizes = [start, *(start / 10**i for i in range(1, _DECADES)), 0.0]
+        kept = next((size for size in sizes if excess(size) <= 0.0), None)
+        if kept is None:
+            return Limit(source, None)
+        low, high = self._bracket(excess, kept, kept or sizes[-2], beyond)
+        u = math.exp(brentq(lambda x: excess(math.exp(x)), math.log(low), math.log(high), xtol=_PRECISE))
+        return Limit(source, u)
+
+    @staticmethod
+    def _bracket(
+        excess: Callable[[float], float], kept: float, size: float, beyond: float
+    ) -> tuple[float, float]:
+        """Two sizes between which the excess changes its sign, a factor of ten apart.
+
+        `kept` is a size without excess; where it is zero, `size` is one with it.
+        """
+        if kept == 0.0:
+            while excess(size / 10) > 0.0:
+                size /= 10
+            return size / 10, size
+        while size * 10 < beyond and excess(size * 10) <= 0.0:
+            size *= 10
+        return size, min(size * 10, beyond)
+
+    # --- all together -------------------------------------------------------------------------------
+
+    def balanced(self, names: Sequence[str], weights: Mapping[str, float] | None = None) -> list[Limit]:
+        """Return sizes of the named sources that together just keep to the accuracy.
+
+        Without weights each takes an equal part of the variance that the other sources leave, each at the point
+        where it counts most. With weights, what a source costs is taken as its weight over its size in units of
+        the bench's own: the sum is least where the parts are as (weight times present contribution)^(2/3). A
+        source that cannot use up its part has no limit, and its part goes to the others. Raises
+        `CalibrationError` where nothing is left to share.
+        """
+        own = {s.name: s for s in self.sources}
+        parts = self._parts(names, weights)
+        sizes = {name: own[name].u or 1e-3 * BEYOND.get(own[name].unit, 1.0) for name in names}
+        free: set[str] = set()
+        for _ in range(_ROUNDS):
+            points = self.by_point(sizes)
+            fixed = [i for i, name in enumerate(own) if name not in names or name in free]
+            left = self.allowed2 - float(points[:, fixed].sum(axis=1).max())
+            found = dict(zip(own, points.max(axis=0), strict=True))
+            if left <= 0.0:
+                raise CalibrationError(_NO_BALANCE if free else self._exceeded(names))
+            bound = [name for name in names if name not in free]
+            total = sum(parts[name] for name in bound)
+            factors = {n: _factor(found[n], left * parts[n] / total) for n in bound}
+            beyond = {n for n in bound if sizes[n] * factors[n] >= BEYOND.get(own[n].unit, 1.0)}
+            sizes |= {n: sizes[n] * factors[n] for n in bound}
+            sizes |= {n: BEYOND.get(own[n].unit, 1.0) for n in beyond}
+            free |= beyond
+            moved = math.inf if beyond else max((abs(math.log(f)) for f in factors.values()), default=0.0)
+            if moved < _SETTLED:
+                break
+        return self._settled(own, sizes, free)
+
+    def _exceeded(self, names: Sequence[str]) -> str:
+        return (
+            f"{self.accuracy:.3g} cannot be kept by any size of {', '.join(names)}: the other errors alone "
+            "exceed it; 'bench budget' shows them"
+        )
+
+    def _parts(self, names: Sequence[str], weights: Mapping[str, float] | None) -> dict[str, float]:
+        if weights is None:
+            return dict.fromkeys(names, 1.0)
+        now = np.sqrt(self.by_point({}).max(axis=0))
+        cost = {s.name: weights.get(s.name, 1.0) * float(u) for s, u in zip(self.sources, now, strict=True)}
+        least = _LEAST_PART * max(cost.values())
+        return {name: max(cost[name], least) ** (2 / 3) for name in names}
+
+    def _settled(
+        self, own: Mapping[str, ErrorSource], sizes: dict[str, float], free: set[str]
+    ) -> list[Limit]:
+        """Scale the sizes that have a limit together until the accuracy is just kept to."""
+
+        def excess(log_factor: float) -> float:
+            scaled = {n: u if n in free else u * math.exp(log_factor) for n, u in sizes.items()}
+            return float(self.variances(scaled).sum()) / self.allowed2 - 1.0
+
+        if len(free) < len(sizes):
+            width = 0.01
+            while excess(-width) > 0.0 or excess(width) < 0.0:
+                width *= 2.0
+                if width > 50.0:
+                    raise CalibrationError(_NO_BALANCE)
+            factor = math.exp(brentq(excess, -width, width, xtol=_PRECISE))
+            sizes = {n: u if n in free else u * factor for n, u in sizes.items()}
+        return [Limit(own[n], math.inf if n in free else u) for n, u in sizes.items()]
+
+
+def _factor(variance: float, allowed: float) -> float:
+    """By how much a size may change for its variance to become what is allowed."""
+    return math.sqrt(allowed / variance) if variance > 0.0 else math.inf

@@ -1,0 +1,453 @@
+"""A diagnosis in words, for page and terminal alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from math import isfinite
+from typing import Final
+
+import numpy as np
+
+from bench.base.numbers import fixed, quantity, rounded, two_digits, typeset, uncertainty
+from bench.diagnosis.confirm import EffectNow
+from bench.diagnosis.free_result import FreeDiagnosis
+from bench.diagnosis.full import FullDiagnosis, Rival
+from bench.diagnosis.gap import UNDETERMINED, Gap
+from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.residual_model import Dark, FormTerm, FreeForm
+from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect
+from bench.diagnosis.show import CoefficientChange, Shown, label
+from bench.diagnosis.where import Place
+from bench.model.effects import CATALOGUE
+
+UNITS: Final = (("ug", "µg"), ("uV", "µV"), ("^2", "²"), ("^3", "³"), ("arcsec", "″"))
+"""Units as files write them, and as a page does."""
+
+WHOLE_UG: Final = 9.95
+"""From so many micro-g on a size is told without decimals."""
+
+MUCH_LESS_CERTAIN: Final = 2.0
+"""A u that grows by no more than this is not worth a line."""
+
+LEAST_P: Final = 1e-9
+"""Smaller probabilities are not stated: they would rest on the noise being normal far beyond what was ever seen."""
+
+STILL_MISSING: Final = (
+    "the readings still differ from the simulated bench by more than their repeats do, at 1 %: "
+    "something small may be left"
+)
+
+
+LOUD_REPEATS: Final = (
+    "that scatter is itself larger than it should be: of what makes it larger this test says nothing"
+)
+
+
+def unit_in_print(unit: str) -> str:
+    """Return a unit as it is printed: "µg/g²" for "ug/g^2"."""
+    for written, printed in UNITS:
+        unit = unit.replace(written, printed)
+    return unit
+
+
+def with_unit(number: str, unit: str) -> str:
+    """Return a number with its unit as printed: "58 µg/g²", "8.1″", "0.3" where the unit is 1."""
+    printed = unit_in_print(unit)
+    if printed == "1":
+        return number
+    return f"{number}{printed}" if printed == "″" else f"{number} {printed}"
+
+
+def effect_title(effect: NamedEffect | Mistake) -> str:
+    """Return name, channels and mountings: "quadratic_nonlinearity of y"."""
+    title = effect.name
+    entry = CATALOGUE.get(title)
+    of_channels = entry is None or any(parameter.per_channel for parameter in entry.parameters)
+    if effect.channels and of_channels:
+        title += f" of {', '.join(effect.channels)}"
+    if effect.installations:
+        several = "s" if len(effect.installations) > 1 else ""
+        title += f" in installation{several} {', '.join(effect.installations)}"
+    return title
+
+
+def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
+    """Yield a line for each parameter, such as "K2 of y = 58.1 ± 5.2 µg/g² (u)"."""
+    for value in effect.parameters:
+        at = f" in installation {value.installations}" if value.installations else ""
+        yield parameter_in_words(value, at)
+    for one in effect.together:
+        yield (
+            f"{one.combination} of {one.parameter} of {' and '.join(one.of)} = "
+            f"{_with_u(one.value, one.u, one.unit)}: the readings tell this, and hardly either by itself"
+        )
+
+
+def parameter_in_words(value: EffectValue, at: str) -> str:
+    """Return a parameter with its value, `at` where it has it."""
+    of = f" of {value.channel}" if value.channel else ""
+    return f"{value.parameter}{of}{at} = {_value_in_words(value)}"
+
+
+def _value_in_words(value: EffectValue) -> str:
+    if value.u is None:
+        return f"{with_unit(format(value.value, 'g'), value.unit)} (its shape, the likeliest of those tried)"
+    return _with_u(value.value, value.u, value.unit)
+
+
+def _with_u(value: float, u: float, unit: str) -> str:
+    return f"{with_unit(f'{rounded(value, u)} ± {uncertainty(u)}', unit)} (u)"
+
+
+def p_in_words(p: float, digits: int = 1) -> str:
+    """Return "p = 0.003"; far out nobody knows how chance is distributed, and it is "p < 1e-09"."""
+    return f"p < {LEAST_P:.0e}" if p < LEAST_P else f"p = {p:.{digits}g}"
+
+
+def p_in_column(p: float, digits: int = 1) -> str:
+    """Return the same below a heading that is p: "0.003", "< 1e-09"."""
+    return p_in_words(p, digits).removeprefix("p ").removeprefix("= ")
+
+
+def sentence_of(family: str) -> str:
+    """Return what a family is, in a sentence without its end."""
+    return CATALOGUE[family].sentence if family in CATALOGUE else UNNAMED_WORDS[family]
+
+
+def place_in_words(place: Place) -> str:
+    """Return one pattern of the disagreement as a phrase."""
+    where = "verification points" if place.channel == "modulus" else f"channel {place.channel}"
+    if place.installation == "all":
+        where += ", whole run"
+    elif place.channel != "modulus":
+        where += f", installation {place.installation}"
+    size = quantity(place.size, place.unit)
+    return f"{where}: {place.pattern}, {size} ({p_in_words(place.p)} with all looks)"
+
+
+def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    """Return for each effect that can be seen the size that is found in half of all runs, in its unit.
+
+    It is that of the form that shows best; of several parameters (the phases of a wave) their norm in the direction
+    that shows worst.
+    """
+    sizes = []
+    for name, factor in diagnosis.detectable.items():
+        if not isfinite(factor) or name in diagnosis.hidden:
+            continue
+        if name in diagnosis.smallest:
+            told = [
+                with_unit(two_digits(one.size), one.unit) + (" in the part that shows" if one.part else "")
+                for one in diagnosis.smallest[name]
+            ]
+            sizes.append((name, " or ".join(told)))
+            continue
+        parameter = next(p for p in CATALOGUE[name].parameters if not p.is_shape)
+        size = factor * parameter.plausible / parameter.si_per_unit
+        sizes.append((name, with_unit(two_digits(size), parameter.unit)))
+    return sizes
+
+
+def orders_in_words(orders: Sequence[int], listed: int = 4) -> str:
+    """Return how often a turn, the fewest first: "6, 10, 14, …"."""
+    shown = ", ".join(str(order) for order in orders[:listed])
+    return f"{shown}, …" if len(orders) > listed else shown
+
+
+UNCONFIRMED: Final = "Found, but not confirmed"
+"""The verdict where nothing else explains it, and readings held out do not confirm it."""
+
+LEAD: Final[Mapping[str, str]] = {
+    "agrees": "Nothing found",
+    "mistake": "A mistake in procedure or wiring",
+    "named": "Found and named",
+    "confounded": "Found, but not told apart",
+    "unknown": "Something unknown",
+}
+"""The verdict in a word or two."""
+
+
+def lead(diagnosis: Diagnosis) -> str:
+    """Return the verdict in a word or two."""
+    tied = any(effect.cannot_tell_from for effect in diagnosis.effects)
+    return LEAD[diagnosis.verdict] if diagnosis.verdict != "confounded" or tied else UNCONFIRMED
+
+
+def closed_in_words(part: float | None, before_g: float, after_g: float, noise_g: float) -> str:
+    """Return the one number of a gap, never more than all of it.
+
+    "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)"; all sizes are root mean squares.
+    """
+    sizes = f"from {micro_g(before_g)} to {micro_g(after_g)} (noise alone: {micro_g(noise_g)})"
+    if part is None:
+        return f"gap {sizes}, no larger than chance before"
+    if part <= 0.0:
+        return f"gap not closed, {sizes}"
+    return f"gap closed {min(100.0 * part, 100.0):.0f} %, {sizes}"
+
+
+def micro_g(value_g: float) -> str:
+    """Return a size in micro-g: "412 µg", "9.0 µg"."""
+    size = 1e6 * value_g
+    return f"{size:.0f} µg" if abs(size) >= WHOLE_UG else f"{two_digits(size)} µg"
+
+
+def gap_in_words(gap: Gap) -> str:
+    """Return how far naming closes the gap on readings that were not used; nothing where none could say it."""
+    if not (gap.named and gap.opened):
+        return ""
+    told = closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
+    return f"{told}, on readings not used"
+
+
+def left_out_in_words(gap: Gap) -> Iterator[str]:
+    """Yield what was held out and does not count, with its number and why."""
+    for fold in gap.left_out:
+        yield f"{fold.label}: {fold.before.reduced:.2f} before, {fold.after.reduced:.2f} after; {fold.blind}"
+    for readings in gap.undetermined:
+        yield f"{readings}: not predicted; {UNDETERMINED}"
+
+
+def verdict_in_words(diagnosis: Diagnosis) -> str:
+    """Return what the verdict rests on, in one sentence without its end."""
+    told = gap_of_verdict(diagnosis)
+    return what_in_words(diagnosis) + (f"; {told}" if told else "")
+
+
+def gap_of_verdict(diagnosis: Diagnosis) -> str:
+    """Return how far the gap closes, or why that does not confirm what was found; nothing where nothing was."""
+    gap = diagnosis.gap
+    return gap.reason if diagnosis.of_copy == "confounded" and gap.reason else gap_in_words(gap)
+
+
+def what_in_words(diagnosis: Diagnosis) -> str:
+    """Return what was found, in one sentence without its end."""
+    effects = diagnosis.effects
+    match diagnosis.verdict:
+        case "agrees":
+            return "readings and model agree within the noise"
+        case "mistake":
+            found = ", ".join(
+                " or ".join([mistake.name, *mistake.cannot_tell_from])
+                for mistake in diagnosis.mistakes.mistakes
+            )
+            return f"{found}; put right in a copy: {_of_copy_in_words(diagnosis)}"
+        case "named":
+            return ", ".join(effect_title(effect) for effect in effects)
+        case "confounded":
+            return alike_in_words(effects)
+    return "; ".join([*(effect.words for effect in effects), *(one.words for one in diagnosis.findings)])
+
+
+def what_to_do(full: FullDiagnosis) -> Iterator[str]:
+    """Yield what a person does after a diagnosis, a sentence each, with the commands to type."""
+    diagnosis, source, model = full.diagnosis, full.source, full.model
+    if diagnosis.verdict == "mistake":
+        yield "Put it right on the bench and measure again" + (
+            f"; until then the corrected copy is {full.copy}" if full.copy else ""
+        )
+    if model is not None:
+        yield f"Take the model: bench calibrate {source} --model {model}"
+        yield f"Put it to the proof with new readings: bench confirm NEW --model {model}"
+    if diagnosis.of_copy == "confounded":
+        if full.next_measurement is not None:
+            yield f"Measure {full.next_measurement.procedure}: {full.next_measurement.why}"
+        elif diagnosis.gap.reason:
+            yield "Measure the same again, with more passes, and diagnose both: bench diagnose … --together"
+    elif diagnosis.of_copy == "unknown":
+        yield "Measure the same again: what comes back is of the bench or the block; below stands where it acts"
+    elif diagnosis.verdict == "agrees":
+        yield f"Nothing; the coefficients stand: bench calibrate {source}"
+
+
+def _of_copy_in_words(diagnosis: Diagnosis) -> str:
+    """Return what the search on the copy with mistakes put right came to."""
+    if diagnosis.of_copy == "agrees":
+        return "it agrees with the model within the noise"
+    if diagnosis.of_copy == "unknown":
+        return "; ".join(effect.words for effect in diagnosis.effects)
+    return f"{alike_in_words(diagnosis.effects)} in it"
+
+
+def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
+    """Return what was found, each with what it cannot be told from: "bias_drift of x or warm_up"."""
+    return "; ".join(" or ".join([effect_title(one), *one.cannot_tell_from]) for one in effects)
+
+
+def mountings_of(block: Shown) -> str:
+    """Return the mountings of a block of several, as they stand in the body of data: "1/3, 2/3"."""
+    return ", ".join(str(mount) for mount in block.before.calibration.fitted.conditions().mounts)
+
+
+def beside_in_words(diagnosis: Diagnosis | FreeDiagnosis) -> str:
+    """Return what was found in readings, whatever they are of."""
+    if isinstance(diagnosis, FreeDiagnosis):
+        return "; ".join(" or ".join([one.name, *one.cannot_tell_from]) for one in diagnosis.found)
+    return alike_in_words(diagnosis.effects)
+
+
+def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
+    """Return what would change were it `other` that is there, in place of what was found; or nothing."""
+    for rival in ranking:
+        if rival.family == other:
+            coefficient, in_u = rival.largest_shift
+            return f"were it that, {coefficient} would differ by {fixed(in_u, 1, sign=True)} u"
+    return ""
+
+
+def why_no_model(diagnosis: Diagnosis) -> str:
+    """Return why there is no model file of what was found, and what to do all the same, after "no model …"."""
+    if diagnosis.gap.shrinks is False:
+        return "of what makes readings that were held out no smaller a gap: it would not be a better model"
+    if any(effect.cannot_tell_from for effect in diagnosis.effects):
+        return "while the data cannot tell; --accept-first takes the first"
+    return "while no readings held out confirm it; --accept-first takes it all the same"
+
+
+def joined_in_words(shown: Shown) -> Iterator[str]:
+    """Yield what the verification points say where they alone show what was found; nothing where not."""
+    if shown.after is None or not shown.after.joined:
+        return
+    without, with_it = shown.before.worst_g, shown.after.worst_g
+    if without is not None and with_it is not None:
+        yield (
+            "that is a test of the settings; some of what was found shows in the verification points alone: worst "
+            f"|Δg| {quantity(without, 'g')} without, {quantity(with_it, 'g')} with it, which is no check, as they "
+            "took part"
+        )
+
+
+def still_missing(shown: Shown) -> bool:
+    """Whether the readings differ from the best model by more than their repeats explain."""
+    return shown.last.tested and shown.last.test.shown
+
+
+def evidence_in_words(full: FullDiagnosis) -> dict[str, str]:
+    """Return what speaks for each effect and for the whole, for the reader of the model file."""
+    diagnosis, gap = full.diagnosis, full.diagnosis.gap
+    evidence = {"found in": full.source}
+    if diagnosis.mistakes.mistakes:
+        mended = "; ".join(mistake.words for mistake in diagnosis.mistakes.mistakes)
+        copy = "a copy" if full.copy is None else str(full.copy)
+        evidence["rests on"] = f"{copy} with these mistakes put right: {mended}"
+    for effect, found in zip(diagnosis.effects, diagnosis.naming.found, strict=False):
+        text = (
+            f"ln odds {found.evidence:.2f}, p {effect.p_all_looks:.2g} with all looks, rho {found.size:.1f}"
+        )
+        if effect.cannot_tell_from:
+            text += f"; the data cannot tell it from {', '.join(effect.cannot_tell_from)}"
+        if effect.plainer_than:
+            text += f"; plainer than {', '.join(effect.plainer_than)}"
+        if effect.applied:
+            evidence[label(effect.applied[0])] = text
+    if diagnosis.form is not None and diagnosis.form.applied:
+        evidence |= _evidence_for_form(diagnosis.form)
+    evidence["gap"] = gap.reason
+    if gap.opened:
+        evidence["gap"] = (
+            f"reduced chi-square of readings held out {gap.before:.3f} before, {gap.after:.3f} after, "
+            f"1 expected; p after {gap.p_after:.2g}; root mean square {micro_g(gap.before_rms_g)} before, "
+            f"{micro_g(gap.after_rms_g)} after"
+        )
+    if full.shown.after is not None:
+        evidence["simulation"] = f"p of the readings beside the model {full.shown.after.test.p:.2g}"
+    evidence["threshold"] = f"ln odds {diagnosis.registered.threshold:.3f}"
+    evidence["registered"] = diagnosis.registered.sha256
+    return evidence
+
+
+def _evidence_for_form(form: FreeForm) -> dict[str, str]:
+    """Return what speaks for the terms of what has no name."""
+    closed = (
+        "not measured"
+        if form.closed is None
+        else f"{100 * form.closed:.0f} % of the gap on readings held out"
+    )
+    return {
+        **{term.effect.name: f"{term.family}; rho {term.rho:.1f}" for term in form.terms},
+        "closed by the unnamed terms": f"{closed}, {form.before:.3f} before, {form.after:.3f} after",
+    }
+
+
+def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
+    """Return the coefficients whose u grows with what was found, and how many times: "Kyz (u 249 times)"."""
+    grown = [(name, one.u_after / one.u_before) for name, one in coefficients.items() if one.u_before > 0]
+    grown.sort(key=lambda pair: -pair[1])
+    return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]
+
+
+def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
+    """Yield what became of an effect in new readings: its verdict, and its values then and now."""
+    name = label(effect.applied)
+    if effect.verdict is None:
+        yield f"{name}: these readings do not show it"
+        return
+    chances = f"{p_in_words(effect.p_same)} of the same values, {p_in_words(effect.p_none)} of none"
+    yield f"{name}: {effect.verdict} ({typeset(chances)})"
+    for was, now in zip(effect.found, effect.now, strict=True):
+        of = f" of {was.channel}" if was.channel else ""
+        u = "" if not was.u else f" ± {uncertainty(was.u)}"
+        then = with_unit(f"{rounded(was.value, was.u or now.u or 1.0)}{u}", was.unit)
+        here = _with_u(now.value, now.u or 0.0, now.unit)
+        yield f"  {was.parameter}{of} = {then} in the model, {here} in these readings"
+
+
+def term_in_words(term: FormTerm) -> str:
+    """Return a term as a line: "unnamed_1: A * (time > t), added at the block output; A of y = 70 ± 4 µg (u)"."""
+    effect = term.effect
+    added = f" to {effect.adds_to}" if effect.adds_to else ""
+    sizes = [
+        f"{name}{f' of {channel}' if channel else ''} = "
+        f"{with_unit(f'{rounded(value, u)} ± {uncertainty(u)}', unit)} (u)"
+        for name, channel, value, u, unit in term.sizes()
+    ]
+    constants = [
+        f"{p.name} = {with_unit(format(p.default / p.si_per_unit, 'g'), p.unit)}"
+        for p in effect.parameters
+        if p.is_shape
+    ]
+    where = f"added{added} at the {effect.stage.value}"
+    return f"{effect.name}: {effect.expression}, {where}; {', '.join([*sizes, *constants])}"
+
+
+def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
+    """Yield the lines that describe what has no name; nothing where there is nothing to say of it."""
+    form = diagnosis.form
+    if form is None:
+        return
+    if not form.terms and any(not effect.in_catalogue for effect in diagnosis.effects):
+        yield "no term of the dictionary describes it"
+    if form.instead_of and form.terms:
+        yield f"as plausible without a name, in the place of {', '.join(dict.fromkeys(form.instead_of))}:"
+    elif form.instead_of:
+        yield "what is left beside the names speaks for something without a name that is too small to describe"
+    for term in form.terms:
+        yield term_in_words(term)
+        also = f"; could also be: {'; '.join(term.could_also_be)}" if term.could_also_be else ""
+        yield f"that is {term.family}, {term.rho:.1f} times the noise in all (rho){also}"
+    if form.terms and form.counted:
+        closed = "" if form.closed is None else f", which closes {100 * form.closed:.0f} % of the gap"
+        yield (
+            f"on readings not used: reduced chi-square {form.before:.2f} before, {form.after:.2f} with the terms "
+            f"found without them{closed}"
+        )
+    if form.terms and not form.predicts:
+        yield "that is too little for a model file: the terms describe these readings and predict no others"
+    if form.scatter is not None:
+        one = form.scatter
+        sizes = f"{quantity(one.sd, form.unit)} there, {quantity(one.elsewhere, form.unit)} elsewhere"
+        yield f"scatter without a form: {one.words}, {sizes}"
+    if form.terms or form.scatter is not None:
+        yield _dark_in_words(form.dark, form.unit)
+
+
+def _dark_in_words(dark: Dark, unit: str) -> str:
+    if not np.isfinite(dark.upper):
+        return "what stays unexplained cannot be told: there are no readings beside the repeats"
+    limit = f"less than {quantity(dark.upper, unit)} (95 %)"
+    if not dark.there:
+        return (
+            f"what stays unexplained in each reading is no more than chance gives (p = {dark.p:.2g}): {limit}"
+        )
+    sizes = f"{quantity(dark.value, unit)} in each reading, u {quantity(dark.u, unit)}, {limit}"
+    return f"what stays unexplained: {sizes} (dark uncertainty)"

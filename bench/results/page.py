@@ -1,0 +1,255 @@
+"""The report of a calibration: its content, and the one HTML page made of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from markupsafe import Markup
+
+from bench.base.numbers import probability, rounded, scale_for, uncertainty
+from bench.calibration.conformity import Statement
+from bench.calibration.result import Calibration, LackOfFit
+from bench.calibration.verification import (
+    Verification,
+    advice,
+    global_risk_in_words,
+    headline,
+    risk_in_words,
+    rule_in_words,
+)
+from bench.results import plots, tables
+from bench.results.template import page
+
+
+@dataclass(frozen=True)
+class ReportContent:
+    """Everything that the page says; it adds nothing of its own, no date and no version.
+
+    `verification` is None where no verification point was measured. `compared` is the same data by another
+    estimator, such as the closed form beside generalised least squares; one by the same estimator is left
+    out. `provenance` is shown as it comes, name and text (run, procedure, bench file and hashes, operator,
+    unit under test, versions, dates). `notes` and `skipped` are sentences on the readings. `simulated` puts
+    a banner over the page.
+    """
+
+    title: str
+    calibration: Calibration
+    verification: Verification | None = None
+    compared: Calibration | None = None
+    provenance: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
+    simulated: bool = False
+
+    @property
+    def other(self) -> Calibration | None:
+        """The calibration to compare with, where there is one by another estimator."""
+        if self.compared is None or self.compared.estimator == self.calibration.estimator:
+            return None
+        return self.compared
+
+
+def render_report(content: ReportContent) -> str:
+    """Return the report as one self-contained HTML page; the same content gives the same text."""
+    calibration, other = content.calibration, content.other
+    return page(
+        "report.html.j2",
+        content=content,
+        calibration=calibration,
+        verdict=verdict(content.verification),
+        fit=fit_in_words(calibration.lack_of_fit),
+        coefficients=_coefficients(calibration),
+        stand=tables.stand(calibration),
+        effects=tables.effects(calibration),
+        noise=tables.noise(calibration),
+        sources=tables.sources(calibration),
+        measured=measured(content.provenance),
+        verification=_verification(content.verification),
+        comparison=_comparison(calibration, other) if other else None,
+        residuals=_residuals(calibration),
+        readings=dict(zip(("unit", "rows"), tables.readings(calibration), strict=True)),
+        free=tables.free(calibration),
+        outliers=tables.outliers(calibration),
+    )
+
+
+def _residuals(calibration: Calibration) -> dict[str, Markup] | None:
+    """Return the figures of the residuals, None where no oriented reading was fitted."""
+    if not len(calibration.fitted):
+        return None
+    return {
+        "by_angle": Markup(plots.residuals_by_angle(calibration)),  # noqa: S704 - our own drawing
+        "in_order": Markup(plots.residuals_in_order(calibration)),  # noqa: S704
+    }
+
+
+def write_report(content: ReportContent, path: Path) -> None:
+    """Write the report to a file (UTF-8). Raises `OSError` when it cannot be written."""
+    path.write_text(render_report(content), encoding="utf-8")
+
+
+STATES: Final = {
+    Statement.PASS: "passed",
+    Statement.CONDITIONAL_PASS: "conditional",
+    Statement.CONDITIONAL_FAIL: "conditional",
+    Statement.INCONCLUSIVE: "none",
+    Statement.NOT_COMPLETE: "failed",
+    Statement.FAIL: "failed",
+}
+"""How the page shows a statement."""
+
+
+@dataclass(frozen=True)
+class VerdictInWords:
+    """The verdict: `state` of the box and `word`, the worst point, limit, rule, risk, and what can be done."""
+
+    state: str
+    word: str = "Not verified"
+    worst: str = ""
+    u: str = ""
+    expanded: str = ""
+    k: str = ""
+    unit: str = ""
+    where: str = ""
+    limit: str = ""
+    tur: str = ""
+    risk: str = ""
+    rule: str = ""
+    rule_in_words: str = ""
+    points: int = 0
+    outside: int = 0
+    advice: tuple[str, ...] = ()
+    of_all: tuple[str, ...] = ()
+
+
+def verdict(verification: Verification | None) -> VerdictInWords:
+    """Return the verdict of a verification, "none" where there was none."""
+    if verification is None:
+        return VerdictInWords("none")
+    worst = verification.worst
+    scale = scale_for(verification.limit_g, "g")
+    mark = "✓" if verification.passed else "✗" if verification.rejected else "–"
+    return VerdictInWords(
+        state=STATES[verification.statement],
+        word=f"{mark} Verification{_of_a_verification(headline(verification))}",
+        worst=rounded(abs(worst.delta_g) / scale.size, worst.u / scale.size),
+        u=uncertainty(worst.u / scale.size),
+        expanded=uncertainty(worst.U / scale.size),
+        k=f"{worst.k:.3g}",
+        unit=scale.unit,
+        where=f"{worst.angle_deg:.4f}° (pass {worst.pass_number}, point {worst.point})",
+        limit=f"{verification.limit_g / scale.size:g}",
+        tur=f"{verification.tur:.2g}",
+        risk=risk_in_words(verification),
+        rule=verification.decision.words,
+        rule_in_words=rule_in_words(verification.decision),
+        points=len(verification.points),
+        outside=sum(abs(p.delta_g) > verification.limit_g for p in verification.points),
+        advice=advice(verification),
+        of_all=global_risk_in_words(verification),
+    )
+
+
+def _of_a_verification(words: str) -> str:
+    """Return " passed", but ": conditional pass"."""
+    return f": {words}" if words.startswith("conditional") else f" {words}"
+
+
+@dataclass(frozen=True)
+class FitInWords:
+    """The lack of fit: `state` (fits, misfits, unknown), the figures, what they say, short and as a sentence."""
+
+    state: str
+    figures: str
+    short: str
+    sentence: str
+
+
+def fit_in_words(fit: LackOfFit) -> FitInWords:
+    """Return what a lack-of-fit test says."""
+    if not math.isfinite(fit.p):
+        return FitInWords(
+            "unknown",
+            "",
+            "cannot be judged: too few repeats",
+            "Whether the model fits cannot be judged: the readings hold too few repeats to tell "
+            "misfit from scatter.",
+        )
+    figures = f"χ² = {fit.chi2:.1f} for {fit.dof} degrees of freedom, {probability(fit.p)}"
+    if not fit.shown:
+        return FitInWords(
+            "fits",
+            figures,
+            "no lack of fit shown at 1 %",
+            "No lack of fit is shown: what the model leaves the scatter of the repeats explains; "
+            f"chance alone would leave more in {_percent(fit.p)} of calibrations.",
+        )
+    return FitInWords(
+        "misfits",
+        figures,
+        "the model does not fit the readings",
+        "The model does not fit: it leaves more than the scatter of the repeats explains; chance "
+        f"alone would leave as much in {_percent(fit.p)} of calibrations. What is missing from the model has "
+        "widened u, as an error that repeats share or by the Birge ratio; the residuals show where it acts.",
+    )
+
+
+_MEASURED: Final = {
+    "unit under test": "Unit",
+    "begun": "Measured",
+    "operator": "Operator",
+    "procedure": "Procedure",
+}
+"""What stands near the top of the page, from the provenance at its end."""
+_INSTRUMENTS = ("voltmeter", "head", "thermometer", "level", "power_supply")
+"""What measured, or fed what was measured; a chamber stands at the end of the page alone."""
+
+
+def measured(provenance: Mapping[str, str]) -> dict[str, str]:
+    """Return who measured what, when and with which instruments, as far as it is known."""
+    stated = {title: provenance[name] for name, title in _MEASURED.items() if name in provenance}
+    if "Procedure" in stated:
+        stated["Procedure"] = stated["Procedure"].partition(" (plan")[0]
+    used = [text for name, text in provenance.items() if name.startswith(_INSTRUMENTS)]
+    return {**stated, "Instruments": "; ".join(used)} if used else stated
+
+
+def _percent(p: float) -> str:
+    if p < 1e-3:
+        return "less than 0.1 %"
+    return f"{100.0 * p:.0f} %" if p >= 0.1 else f"{100.0 * p:.2g} %"
+
+
+def _coefficients(calibration: Calibration) -> dict[str, Any]:
+    base = scale_for(1.0, calibration.unit)
+    return {
+        "matrix": tables.matrix(calibration),
+        "unit": base.unit,
+        "per_g": base.per_g,
+        "groups": tables.coefficient_groups(calibration),
+        "strongest": tables.strongest_correlations(calibration),
+        "figure": Markup(plots.correlations(calibration)),  # noqa: S704 - our own drawing
+        "g": f"{calibration.g_m_s2:.7g}",
+    }
+
+
+def _verification(verification: Verification | None) -> dict[str, Any] | None:
+    if verification is None:
+        return None
+    return {
+        "rows": tables.verification(verification),
+        "unit": scale_for(verification.limit_g, "g").unit,
+        "figure": Markup(plots.verification_points(verification)),  # noqa: S704 - our own drawing
+    }
+
+
+def _comparison(calibration: Calibration, other: Calibration) -> dict[str, Any]:
+    return {
+        "names": (calibration.estimator, other.estimator),
+        "rows": tables.comparison(calibration, other),
+        "figure": Markup(plots.compared_coefficients(calibration, other)),  # noqa: S704 - our own drawing
+    }

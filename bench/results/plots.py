@@ -1,0 +1,370 @@
+"""The figures of the report, each as an SVG string for the page.
+
+Lettering is drawn as outlines, so a figure looks the same everywhere; identifiers and hashes are fixed, so
+the same input gives the same text. Colours: Okabe and Ito's set, told apart by the colour-blind; whatever
+a colour says, a shape or a word says too.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from html import escape
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Mask
+from bench.base.numbers import MINUS, Scale, scale_for
+from bench.base.words import APPROACH
+from bench.calibration import Calibration, Verification
+from bench.calibration.budget.propagation import correlation_of
+from bench.model.block import COEFFICIENTS
+from bench.model.conditions import Mounting
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
+PURPLE, ORANGE, GREY = "#CC79A7", "#E69F00", "#5F6B76"
+PASS_COLOURS: Final = (BLUE, VERMILION, GREEN, PURPLE, ORANGE)
+PASS_FILLS: Final = ("full", "none", "bottom", "left", "top")
+MARKERS: Final = {1: "^", -1: "v", 0: "o"}
+DODGE_DEG: Final = 5.0
+"""Passes at the same angle stand apart by this much, so that no reading hides another."""
+
+STYLE: Final[dict[str, Any]] = {
+    "svg.fonttype": "path",
+    "font.family": "DejaVu Sans",
+    "font.size": 8,
+    "axes.titlesize": 9,
+    "axes.edgecolor": GREY,
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    "grid.color": "#DDE2E6",
+    "grid.linewidth": 0.5,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": "#222222",
+    "ytick.labelcolor": "#222222",
+    "legend.frameon": False,
+    "lines.markersize": 4.5,
+    "lines.markeredgewidth": 0.9,
+}
+
+
+def residuals_by_angle(calibration: Calibration) -> str:
+    """Residuals against head angle: a row for each channel, a column for each installation.
+
+    The band is two standard deviations of a single reading: reading noise and setting error along du/dphi.
+    """
+    mounts = mounts_of(calibration)
+    scale = residual_scale(calibration)
+
+    def draw(figure: Figure) -> None:
+        grid: Any = figure.subplots(3, len(mounts), sharex=True, sharey=True, squeeze=False)
+        fine = np.linspace(-8.0, 368.0, 189)
+        for column, (mount, rows) in enumerate(mounts):
+            band = 2.0 * sd_of_reading(calibration, rows, np.radians(fine)) / scale.size
+            grid[0, column].set_title(f"installation {mount}", parse_math=False)
+            for i, channel in enumerate(CHANNELS):
+                axes: Axes = grid[i, column]
+                axes.fill_between(fine, -band[:, i], band[:, i], color="#B9C4CE", alpha=0.45, linewidth=0)
+                axes.axhline(0.0, color=GREY, linewidth=0.7)
+                residual_points(axes, calibration, rows, i, dodged_deg(calibration), scale)
+                axes.set_xticks(range(0, 361, 45))
+                axes.set_xlim(-12.0, 372.0)
+                if column == 0:
+                    axes.set_ylabel(f"channel {channel} / {scale.unit}")
+            grid[2, column].set_xlabel("head angle / °")
+        figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=6)
+
+    alt = f"Residuals of channels x, y, z against head angle, {len(mounts)} installations, with the ±2σ band"
+    return svg_figure("residuals-angle", (max(1.2 + 3.1 * len(mounts), 4.6), 6.0), draw, alt)
+
+
+def residuals_in_order(calibration: Calibration) -> str:
+    """Residuals in the order of measurement: against time where every reading has one."""
+    scale = residual_scale(calibration)
+    time_s = calibration.fitted.time_s
+    along: Floats = np.arange(1.0, len(time_s) + 1.0)
+    label = "reading, in the order of measurement"
+    if np.all(np.isfinite(time_s)):
+        unit, size = ("h", HOUR) if np.ptp(time_s) > 2 * HOUR else ("min", MINUTE)
+        along, label = time_s / size, f"time since the start / {unit}"
+
+    def draw(figure: Figure) -> None:
+        grid: Any = figure.subplots(3, 1, sharex=True, sharey=True)
+        for i, channel in enumerate(CHANNELS):
+            axes: Axes = grid[i]
+            axes.axhline(0.0, color=GREY, linewidth=0.7)
+            for _, rows in mounts_of(calibration):
+                residual_points(axes, calibration, rows, i, along, scale)
+            axes.set_ylabel(f"channel {channel} / {scale.unit}")
+        mark_changes(grid, calibration, along)
+        grid[2].set_xlabel(label)
+        figure.legend(*legend_of(grid), loc="outside upper center", ncols=6)
+
+    return svg_figure("residuals-order", (7.4, 5.2), draw, f"Residuals of channels x, y, z against {label}")
+
+
+def verification_points(verification: Verification) -> str:
+    """Δg at the verification points with bars of U between the limits (paper, Fig. 6)."""
+    scale = scale_for(verification.limit_g, "g")
+    limit = verification.limit_g / scale.size
+    points = verification.points
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        for sign in (1.0, -1.0):
+            axes.axhline(sign * limit, color=VERMILION, linestyle=(0, (6, 3)), linewidth=1.1)
+        accepted = min(p.accepted_up_to for p in points) / scale.size
+        if 0.0 < accepted < limit:
+            for sign in (1.0, -1.0):
+                axes.axhline(sign * accepted, color=GREY, linestyle=":", linewidth=1.1)
+        axes.axhspan(-limit, limit, color=GREEN, alpha=0.07, linewidth=0)
+        axes.axhline(0.0, color=GREY, linewidth=0.7)
+        for passed, marker, colour, name in (
+            (True, "o", BLUE, "accepted"),
+            (False, "X", VERMILION, "not accepted"),
+        ):
+            chosen = [(j, p) for j, p in enumerate(points) if p.passed is passed]
+            if chosen:
+                at = [j for j, _ in chosen]
+                drawn = axes.errorbar(
+                    at,
+                    [p.delta_g / scale.size for _, p in chosen],
+                    [p.U / scale.size for _, p in chosen],
+                    fmt=marker, color=colour, markersize=6, capsize=4, linewidth=1.1, label=f"Δg, {name}",
+                )  # fmt: skip
+                drawn.lines[0].set_gid(f"readings-{'within' if passed else 'outside'}")
+        reach = max(limit, *((abs(p.delta_g) + p.U) / scale.size for p in points))
+        axes.set_ylim(-1.2 * reach, 1.2 * reach)
+        axes.set_xlim(-0.6, len(points) - 0.4)
+        axes.set_xticks(range(len(points)), _verification_labels(verification))
+        axes.tick_params(axis="x", labelrotation=90 if len(points) > 16 else 0)
+        axes.grid(visible=False, axis="x")
+        axes.annotate(
+            f"limit ±{limit:g} {scale.unit}", (1.0, limit), xycoords=("axes fraction", "data"),
+            xytext=(-4, 3), textcoords="offset points", ha="right", color="#A34700",
+        )  # fmt: skip
+        axes.set_xlabel("verification point: head angle")
+        axes.set_ylabel(f"Δg / {scale.unit}")
+        figure.legend(loc="outside upper center", ncols=2)
+
+    alt = f"Δg at {len(points)} verification points with bars of U, limit ±{limit:g} {scale.unit}"
+    return svg_figure("verification", (6.4, 3.2), draw, alt)
+
+
+def correlations(calibration: Calibration) -> str:
+    """Correlation matrix of the twelve coefficients, the lower triangle."""
+    matrix = correlation_of(calibration.covariance)
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        shown = np.ma.masked_where(np.triu(np.ones_like(matrix, dtype=np.bool_)), matrix)
+        # a mesh is drawn as shapes; an image would be a bitmap
+        mesh = axes.pcolormesh(shown, cmap="RdBu_r", vmin=-1.0, vmax=1.0, edgecolors="white", linewidth=1.2)
+        for i in range(12):
+            for j in range(i):
+                r = matrix[i, j]
+                text = f"{r:.2f}".replace("-", MINUS) if abs(r) >= 0.005 else "0"
+                colour = "white" if abs(r) > 0.6 else "#222222" if abs(r) >= 0.1 else "#8A939B"
+                axes.text(j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=6.5, color=colour)
+        ticks = np.arange(12) + 0.5
+        axes.set_xticks(ticks[:-1], [symbol(name) for name in COEFFICIENTS[:-1]])
+        axes.set_yticks(ticks[1:], [symbol(name) for name in COEFFICIENTS[1:]])
+        axes.set_xlim(0, 11)
+        axes.set_ylim(12, 1)
+        axes.tick_params(length=0)
+        axes.grid(visible=False)
+        axes.spines[:].set_visible(False)
+        bar = figure.colorbar(mesh, ax=axes, shrink=0.7, pad=0.02, ticks=[-1, -0.5, 0, 0.5, 1])
+        bar.solids.set_rasterized(False)  # type: ignore[union-attr]
+        bar.set_label("correlation coefficient")
+
+    return svg_figure("correlations", (6.2, 4.3), draw, "Correlations between the twelve coefficients")
+
+
+def compared_coefficients(calibration: Calibration, compared: Calibration) -> str:
+    """Coefficients by another estimator, as differences from this one's, bars of k = 2 on both."""
+    difference = compared.block.vector - calibration.block.vector
+    scale = scale_for(float(np.max(np.abs(difference) + 2.0 * compared.u)), calibration.unit)
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        axes.axhline(0.0, color=GREY, linewidth=0.7)
+        for of, values, shift, marker, colour in (
+            (calibration, 0.0 * difference, -0.14, "o", BLUE),
+            (compared, difference, 0.14, "D", VERMILION),
+        ):
+            axes.errorbar(
+                np.arange(12) + shift, values / scale.size, 2.0 * of.u / scale.size,
+                fmt=marker, color=colour, markersize=4.5, capsize=2.5, linewidth=1.0, label=of.estimator,
+            )  # fmt: skip
+        axes.set_xticks(range(12), [symbol(name) for name in COEFFICIENTS])
+        axes.set_xlim(-0.6, 11.6)
+        axes.grid(visible=False, axis="x")
+        axes.set_ylabel(f"difference / {scale.per_g}\n(biases: {scale.unit})")
+        figure.legend(loc="outside upper center", ncols=2)
+
+    alt = f"Twelve coefficients by {compared.estimator} as differences from {calibration.estimator}"
+    return svg_figure("compared", (7.4, 3.2), draw, alt)
+
+
+# --- what the figures show --------------------------------------------------------------------------
+
+
+def mounts_of(calibration: Calibration) -> list[tuple[Mounting, Mask]]:
+    """Return each mounting of the fitted readings with its rows as a mask (n,)."""
+    conditions = calibration.fitted.conditions()
+    return [(mount, conditions.mount == index) for index, mount in enumerate(conditions.mounts)]
+
+
+def sd_of_reading(calibration: Calibration, rows: Mask, angle_rad: Floats) -> Floats:
+    """Standard deviation of a single reading at head angles (m,) in the mounting `rows`, unit, shape (m, 3).
+
+    Reading noise and setting error along du/dphi; the slope is that of the turn (sine and cosine of the
+    angle) which the fitted readings of the mounting describe, whatever the installation.
+    """
+    angle = calibration.fitted.angle_rad[rows]
+    predicted = calibration.fitted.signal[rows] - calibration.residuals[rows]
+    columns = np.column_stack([np.sin(angle), np.cos(angle), np.ones_like(angle)])
+    turn, *_ = np.linalg.lstsq(columns, predicted, rcond=None)
+    slope = np.cos(angle_rad)[:, None] * turn[0] - np.sin(angle_rad)[:, None] * turn[1]
+    noise = calibration.noise
+    return np.asarray(np.hypot(noise.reading, noise.setting_rad * slope))
+
+
+def residual_scale(calibration: Calibration) -> Scale:
+    """Return the scale on which the residuals read well, here and in the table of readings."""
+    return scale_for(float(np.max(np.abs(calibration.residuals))), calibration.unit)
+
+
+def symbol(name: str) -> str:
+    """Return a coefficient's name as matplotlib sets it: "$K_{xy}$"."""
+    return f"$U_{{0{name[2:]}}}$" if name.startswith("U0") else f"$K_{{{name[1:]}}}$"
+
+
+# --- how they are drawn -----------------------------------------------------------------------------
+
+
+def dodged_deg(calibration: Calibration) -> Floats:
+    """Head angles (n,) in degrees, the passes set apart sideways by `DODGE_DEG` in all."""
+    number = calibration.fitted.pass_number
+    middle = (number.min() + number.max()) / 2.0
+    spread = max(float(np.ptp(number)), 1.0) / 2.0
+    return np.asarray(np.degrees(calibration.fitted.angle_rad) + DODGE_DEG * (number - middle) / spread)
+
+
+def residual_points(
+    axes: Axes,
+    calibration: Calibration,
+    rows: Mask,
+    channel: int,
+    along: Floats,
+    scale: Scale,
+    name: str = "readings",
+) -> None:
+    """Draw the residuals of one channel in one mounting; pass in colour and fill, direction in shape.
+
+    `name` sets the identifiers of the marks apart from those of other calibrations in the same figure.
+    """
+    fitted = calibration.fitted
+    for number in np.unique(fitted.pass_number[rows]):
+        for direction, marker in MARKERS.items():
+            chosen = rows & (fitted.pass_number == number) & (fitted.direction == direction)
+            if np.any(chosen):
+                (line,) = axes.plot(
+                    along[chosen], calibration.residuals[chosen, channel] / scale.size, marker,
+                    color=PASS_COLOURS[(number - 1) % len(PASS_COLOURS)],
+                    fillstyle=PASS_FILLS[(number - 1) % len(PASS_FILLS)],
+                    label=f"pass {number} {APPROACH.get(direction, '')}".strip(),
+                )  # fmt: skip
+                line.set_gid(f"{name}-{CHANNELS[channel]}-{np.flatnonzero(chosen)[0]}")
+
+
+def legend_of(grid: Iterator[Axes]) -> tuple[list[Any], list[str]]:
+    """Handles and labels of all axes, each label once."""
+    entries = {
+        label: handle
+        for axes in grid
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    return list(entries.values()), list(entries)
+
+
+def mark_changes(grid: Any, calibration: Calibration, along: Floats, word: str = "installation ") -> None:
+    """Draw a line where the block was mounted anew, and name the mounting above, after `word`."""
+    conditions = calibration.fitted.conditions()
+    starts = [0, *(np.flatnonzero(np.diff(conditions.mount)) + 1)]
+    for start in starts:
+        edge = along[0] if start == 0 else (along[start - 1] + along[start]) / 2.0
+        for axes in grid:
+            if start:
+                axes.axvline(edge, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
+        grid[0].annotate(
+            f" {word}{conditions.mounts[conditions.mount[start]]}", (edge, 1.0),
+            xycoords=("data", "axes fraction"), xytext=(0, 3), textcoords="offset points", parse_math=False,
+        )  # fmt: skip
+
+
+def _verification_labels(verification: Verification) -> list[str]:
+    several = len({p.pass_number for p in verification.points}) > 1
+    return [
+        f"{p.angle_deg:.0f}°" + (f"\npass {p.pass_number}" if several else "") for p in verification.points
+    ]
+
+
+@contextmanager
+def drawn(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]) -> Iterator[Figure]:
+    """Draw a figure and have it as long as the style of the pages holds; `name` fixes the identifiers in it."""
+    # matplotlib takes longer to import than anything else that a command does
+    from matplotlib import style
+    from matplotlib.figure import Figure
+
+    with style.context(["default", {**STYLE, "svg.hashsalt": name}]):
+        figure = Figure(figsize=inches, layout="constrained")
+        draw(figure)
+        yield figure
+
+
+def svg_file(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]) -> str:
+    """Draw a figure and return the text of an SVG file that stands alone."""
+    return _written(name, inches, draw)
+
+
+def _written(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]) -> str:
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    text = io.StringIO()
+    with drawn(name, inches, draw) as figure:
+        nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+        # not savefig: it draws all once more beforehand, and the file is the same
+        FigureCanvasSVG(figure).print_svg(text, metadata=nothing)  # type: ignore[no-untyped-call]
+    return text.getvalue()
+
+
+def svg_figure(name: str, inches: tuple[float, float], draw: Callable[[Figure], None], alt: str) -> str:
+    """Draw a figure and return it as an SVG element for a page; `alt` says in words what it shows."""
+    return _inline(svg_file(name, inches, draw), name, inches, alt)
+
+
+def _inline(svg: str, name: str, inches: tuple[float, float], alt: str) -> str:
+    """Make of an SVG file an element that lives among others in a page: identifiers of its own, no addresses."""
+    body = svg[svg.index("<svg") :]
+    body = re.sub(r"<!--.*?-->|<metadata>.*?</metadata>|<style.*?</style>", "", body, flags=re.DOTALL)
+    body = re.sub(r'\bid="', f'id="{name}-', body)
+    body = re.sub(r'(?:xlink:)?href="#', f'href="#{name}-', body).replace("url(#", f"url(#{name}-")
+    box = re.search(r'viewBox="[^"]*"', body)
+    if box is None:  # pragma: no cover - matplotlib always writes one
+        raise ValueError(f"figure {name}: no viewBox in the SVG")
+    # an em is the page's own letter size, so the figure's lettering keeps pace with the text
+    start = f'<svg {box[0]} role="img" aria-label="{escape(alt)}" style="max-width:{inches[0] * 6.4:.1f}em">'
+    return start + re.sub(r">\s+<", "><", body[body.index(">") + 1 :].strip())

@@ -1,0 +1,363 @@
+"""The tables of the report: numbers rounded and aligned, ready for the page."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from markupsafe import Markup
+
+from bench.base.arrays import ARCSEC, CHANNELS, u_of
+from bench.base.numbers import aligned, concise, fixed, places, quantity, rounded, scale_for, uncertainty
+from bench.calibration import Calibration, Estimate, Noise, Verification
+from bench.calibration.budget.propagation import correlation_of
+from bench.calibration.design import SYMBOLS
+from bench.calibration.verification import optional_probability
+from bench.model.block import COEFFICIENTS
+from bench.model.effects import CATALOGUE
+from bench.results.plots import residual_scale
+
+MEANINGS: Final = {
+    "axis_tilt": "axis tilt",
+    "zero_offset": "zero offset",
+    "mounting_error": "mounting error",
+    "mounting_offset": "mounting turn about the shaft",
+    "mounting_roll": "mounting error, third angle",
+}
+HARDLY: Final = 0.01
+"""A contribution below this part of the unit of its table is none."""
+SHOWS: Final = 2.0
+"""A stand angle shows in the data when it is more than this many of its u away from nothing."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of a table: what it is about (may hold markup) and its cells; `bad` sets it apart."""
+
+    head: str
+    cells: tuple[str, ...]
+    bad: bool = False
+
+
+def symbol(name: str) -> Markup:
+    """Return a coefficient's name as the page sets it: K with its indices below."""
+    if name.startswith("U0"):
+        return Markup("<i>U</i><sub>0{}</sub>").format(name[2:])
+    return Markup("<i>K</i><sub>{}</sub>").format(name[1:])
+
+
+# --- coefficients -----------------------------------------------------------------------------------
+
+
+def matrix(calibration: Calibration) -> list[list[str]]:
+    """Return K and, as a fourth column, U0 in concise notation."""
+    pairs = zip(calibration.block.vector, calibration.u, strict=True)
+    both = ["0" if v == u == 0.0 else concise(float(v), float(u)) for v, u in pairs]
+    return [[*both[3 * i : 3 * i + 3], both[9 + i]] for i in range(3)]
+
+
+def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
+    """Return scale factors, cross-axis terms, biases: value, unit, u of the readings, u, U, unit, other terms."""
+    vector, u = calibration.block.vector, calibration.u
+    scale = scale_for(float(np.max(u)), calibration.unit)
+    base = scale_for(1.0, calibration.unit)
+    # a coefficient without a value and an uncertainty is zero by convention: free positions alone
+    values = aligned(
+        ["0" if v == s == 0.0 else rounded(float(v), float(s)) for v, s in zip(vector, u, strict=True)]
+    )
+    of_readings = aligned([uncertainty(float(s) / scale.size) for s in calibration.u_readings])
+    standard = aligned([uncertainty(float(s) / scale.size) for s in u])
+    expanded = aligned([uncertainty(2.0 * float(s) / scale.size) for s in u])
+    groups: list[tuple[str, list[Row]]] = []
+    for title, members in (
+        ("Scale factors", [0, 4, 8]),
+        ("Cross-axis terms", [1, 2, 3, 5, 6, 7]),
+        ("Biases", [9, 10, 11]),
+    ):
+        others = aligned([_in_other_terms(calibration, j)[0] for j in members])
+        rows = [
+            Row(
+                symbol(COEFFICIENTS[j]),
+                (
+                    values[j],
+                    base.unit if j >= 9 else base.per_g,
+                    of_readings[j],
+                    standard[j],
+                    expanded[j],
+                    scale.unit if j >= 9 else scale.per_g,
+                    other,
+                    _in_other_terms(calibration, j)[1],
+                ),
+            )
+            for j, other in zip(members, others, strict=True)
+        ]
+        groups.append((title, rows))
+    return groups
+
+
+def _in_other_terms(calibration: Calibration, j: int) -> tuple[str, str]:
+    """Relative u of a scale factor, ppm; a cross-axis term as an angle, arcsec; a bias as acceleration."""
+    vector, u = calibration.block.vector, calibration.u
+    own = 4 * (j // 3 if j < 9 else j - 9)
+    if j == own:
+        return uncertainty(abs(float(u[j] / vector[j])) * 1e6), "ppm"
+    ratio, u_ratio = _ratio(calibration, j, own)
+    if vector[j] == u[j] == 0.0:
+        return "by convention", ""
+    if j < 9:
+        return concise(ratio / ARCSEC, u_ratio / ARCSEC), "″"
+    scale = scale_for(max(abs(ratio), u_ratio), "g")
+    return concise(ratio / scale.size, u_ratio / scale.size), scale.unit
+
+
+def _ratio(calibration: Calibration, j: int, own: int) -> tuple[float, float]:
+    """Ratio of two coefficients with its u, their covariance included."""
+    vector, covariance = calibration.block.vector, calibration.covariance
+    ratio = vector[j] / vector[own]
+    variance = covariance[j, j] + ratio**2 * covariance[own, own] - 2.0 * ratio * covariance[j, own]
+    return float(ratio), float(np.sqrt(max(variance, 0.0)) / abs(vector[own]))
+
+
+def strongest_correlations(calibration: Calibration, count: int = 5) -> list[tuple[Markup, Markup, str]]:
+    """Return the pairs of coefficients that hang together most, with their correlation."""
+    r = correlation_of(calibration.covariance)
+    pairs = sorted(
+        ((i, j) for i in range(12) for j in range(i)), key=lambda pair: (-abs(r[pair]), pair[1], pair[0])
+    )
+    return [
+        (symbol(COEFFICIENTS[j]), symbol(COEFFICIENTS[i]), fixed(float(r[i, j]), 2, sign=True))
+        for i, j in pairs[:count]
+    ]
+
+
+def comparison(calibration: Calibration, compared: Calibration) -> list[Row]:
+    """Return both estimates and their difference for each coefficient."""
+    difference = compared.block.vector - calibration.block.vector
+    scale = scale_for(float(np.max(np.abs(difference))), calibration.unit)
+    shown = [
+        rounded(float(d) / scale.size, float(u) / scale.size, sign=True)
+        for d, u in zip(difference, np.maximum(calibration.u, compared.u), strict=True)
+    ]
+    both = (
+        [concise(v, u) for v, u in zip(c.block.vector.tolist(), c.u.tolist(), strict=True)]
+        for c in (calibration, compared)
+    )
+    columns = (*both, shown)
+    base = scale_for(1.0, calibration.unit)
+    cells = list(zip(*(aligned(column) for column in columns), strict=True))
+    return [
+        Row(
+            symbol(name),
+            (
+                row[0], row[1], base.unit if j >= 9 else base.per_g,
+                row[2], scale.unit if j >= 9 else scale.per_g,
+            ),
+        )
+        for j, (name, row) in enumerate(zip(COEFFICIENTS, cells, strict=True))
+    ]  # fmt: skip
+
+
+# --- stand and effects ------------------------------------------------------------------------------
+
+
+def stand(calibration: Calibration) -> list[Row]:
+    """Return the stand's angles: meaning, estimate, u, how many u from nothing, and that in words."""
+    estimates = list(calibration.stand.values())
+    pulls = [e.value / e.u if e.u > 0 else float("nan") for e in estimates]
+    columns = (
+        aligned([rounded(e.value, e.u, sign=True) for e in estimates]),
+        aligned([uncertainty(e.u) for e in estimates]),
+        aligned([fixed(pull, 1, sign=True) for pull in pulls]),
+    )
+    return [
+        Row(_stand_angle(name), (*cells, _in_words(pull, estimate)))
+        for (name, estimate), cells, pull in zip(
+            calibration.stand.items(), zip(*columns, strict=True), pulls, strict=True
+        )
+    ]
+
+
+def _stand_angle(name: str) -> Markup:
+    """Name a stand angle: "alpha3[2]" is α₃, the mounting error in installation 2."""
+    parts = re.fullmatch(r"(?P<symbol>\w+)\[(?P<mount>.*)\]", name)
+    if parts is None:
+        return Markup("{}").format(name)
+    of = parts["symbol"]
+    meaning = {symbol: MEANINGS[angle] for angle, symbol in SYMBOLS.items()}.get(of, of)
+    letter = (
+        Markup("<i>α</i><sub>{}</sub> ").format(of.removeprefix("alpha")) if of.startswith("alpha") else ""
+    )
+    return Markup("{}{}, installation {}").format(letter, meaning, parts["mount"])
+
+
+def _in_words(pull: float, estimate: Estimate) -> str:
+    if not np.isfinite(pull):
+        return "–"
+    if not estimate.told_by_data:
+        return "no better known than before"
+    return "shows in the data" if abs(pull) > SHOWS else "not told from zero"
+
+
+def effects(calibration: Calibration) -> list[Row]:
+    """Return the fitted parameters of the model's effects: estimate, u, unit, what the effect is."""
+    rows = []
+    for name, e in calibration.effects.items():
+        known = CATALOGUE.get(name.split(".")[0])
+        unit = e.unit.replace("ug", "µg").replace("^2", "²").replace("^3", "³").replace("arcsec", "″")
+        sentence = known.sentence if known else ""
+        rows.append(Row(name, (rounded(e.value, e.u, sign=True), uncertainty(e.u), unit, sentence)))
+    return rows
+
+
+# --- verification and readings ----------------------------------------------------------------------
+
+
+def verification(result: Verification) -> list[Row]:
+    """Return the verification points: angle, modulus, Δg, u, U, part of the limit, risks, statement."""
+    scale = scale_for(result.limit_g, "g")
+    rows = []
+    for p in result.points:
+        rows.append(
+            Row(
+                f"{p.pass_number} / {p.point}",
+                (
+                    f"{p.angle_deg:.4f}",
+                    rounded(p.g_p, p.u),
+                    rounded(p.delta_g / scale.size, p.u / scale.size, sign=True),
+                    uncertainty(p.u / scale.size),
+                    uncertainty(p.U / scale.size),
+                    f"{abs(p.delta_g) / result.limit_g:.0%}".replace("%", " %"),
+                    optional_probability(p.p_false_accept),
+                    optional_probability(p.p_false_reject),
+                    str(p.statement),
+                ),
+                bad=not p.passed,
+            )
+        )
+    return rows
+
+
+def free(calibration: Calibration) -> tuple[str, list[Row]] | None:
+    """Return the unit and a row for each reading that joined by its modulus: installation, pass, point, |a| - 1.
+
+    None where no reading did.
+    """
+    of = calibration.free
+    if of is None:
+        return None
+    scale = scale_for(float(np.max(np.abs(calibration.modulus_error))), "g")
+    decimals = max(places(calibration.modulus_rms_g / scale.size), 0)
+    return scale.unit, [
+        Row(
+            str(j + 1),
+            (
+                str(of.installation[j]),
+                str(of.pass_number[j]),
+                str(of.point[j]),
+                fixed(float(error) / scale.size, decimals, sign=True),
+            ),
+        )
+        for j, error in enumerate(calibration.modulus_error)
+    ]
+
+
+def outliers(calibration: Calibration) -> list[Row]:
+    """Return the outliers: row of the table, place, channel, size, in standard uncertainties, weight."""
+    return [
+        Row(
+            str(o.row),
+            (
+                o.installation if o.series == 1 else f"{o.installation}/{o.series}",
+                str(o.pass_number),
+                str(o.point),
+                o.channel,
+                fixed(o.size, places(abs(o.size)), sign=True),
+                o.unit,
+                fixed(o.sigma, 1),
+                f"{o.weight:g}",
+            ),
+        )
+        for o in calibration.outliers
+    ]
+
+
+def readings(calibration: Calibration) -> tuple[str, list[Row]]:
+    """Return the unit of the residuals and a row for each fitted reading, in the order of measurement.
+
+    Cells: mounting, pass, point, angle, direction, time, temperature, three signals, three residuals.
+    """
+    if not len(calibration.fitted):
+        return "", []
+    fitted = calibration.fitted
+    conditions = fitted.conditions()
+    scale = residual_scale(calibration)
+    signal_places = max(places(calibration.noise.reading), 0)
+    residual_places = max(places(calibration.noise.reading / scale.size), 0)
+    rows = []
+    for j in range(len(fitted)):
+        time_s, temperature_c = float(fitted.time_s[j]), float(fitted.temperature_c[j])
+        rows.append(
+            Row(
+                str(j + 1),
+                (
+                    str(conditions.mounts[conditions.mount[j]]),
+                    str(fitted.pass_number[j]),
+                    str(fitted.point[j]),
+                    fixed(float(np.degrees(fitted.angle_rad[j])), 4),
+                    {1: "↑", -1: "↓"}.get(int(fitted.direction[j]), "–"),
+                    fixed(time_s, 0),
+                    fixed(temperature_c, 2),
+                    *(fixed(float(v), signal_places) for v in fitted.signal[j]),
+                    *(
+                        fixed(float(v) / scale.size, residual_places, sign=True)
+                        for v in calibration.residuals[j]
+                    ),
+                ),
+            )
+        )
+    return scale.unit, rows
+
+
+def _limits(noise: Noise) -> str:
+    """Between which values the setting error lies, where the data tell."""
+    if noise.setting_limits_rad is None:
+        return ""
+    low, high = (limit / ARCSEC for limit in noise.setting_limits_rad)
+    return f" (with 95 % between {low:.2g}″ and {high:.2g}″)"
+
+
+def _each(sizes: tuple[float, float, float], unit: str) -> str:
+    return ", ".join(f"{c} {quantity(size, unit)}" for c, size in zip(CHANNELS, sizes, strict=True))
+
+
+def sources(calibration: Calibration) -> dict[str, Any]:
+    """Return the errors that the readings do not show: name, u, origin, what each adds at most; and gravity."""
+    if not calibration.sources:
+        return {}
+    largest = max(float(u_of(s.covariance).max()) for s in calibration.sources)
+    scale = scale_for(largest, calibration.unit)
+    rows = []
+    for source in calibration.sources:
+        u = u_of(source.covariance) / scale.size
+        most = [float(u[own].max()) for own in ([0, 4, 8], [1, 2, 3, 5, 6, 7], [9, 10, 11])]
+        origin = f"{source.origin} (prior)" if source.prior else source.origin
+        cells = (source.size, *(uncertainty(size) if size >= HARDLY else "–" for size in most), origin)
+        rows.append(Row(source.name.replace("_", " "), cells))
+    gravity = f"{calibration.gravity_u * 1e6:.2g} ppm" if calibration.gravity_u else ""
+    return {"unit": f"{scale.per_g} and {scale.unit}", "rows": rows, "gravity": gravity}
+
+
+def noise(calibration: Calibration) -> dict[str, str]:
+    """Return the noise sizes, where they come from, and the root mean square of the residuals."""
+    of = calibration.noise
+    return {
+        "reading": quantity(of.reading, calibration.unit),
+        "setting": f"{uncertainty(of.setting_rad / ARCSEC)}″{_limits(of)}",
+        "dof": f"{of.dof:.0f}" if np.isfinite(of.dof) else "",
+        "source": of.source,
+        "each": "" if of.channels is None else _each(of.channels, calibration.unit),
+        "rms": quantity(calibration.lack_of_fit.rms, calibration.unit),
+        "channels": ", ".join(CHANNELS),
+    }

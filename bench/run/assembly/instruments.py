@@ -1,0 +1,265 @@
+"""The drivers that a bench file names, and the simulated instruments behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from bench.config.bench_file.file import BenchFile
+from bench.config.bench_file.sections import InstrumentForm, InstrumentsSection
+from bench.config.devices.device import WiredForm, is_serial
+from bench.config.devices.keysight_34970a_thermometer import Keysight34970AThermometerSection
+from bench.config.devices.registry import devices
+from bench.config.devices.sections import (
+    ControlledChamberForm,
+    LevelForm,
+    MotorisedHeadForm,
+    ThermometerForm,
+    WiredSupplyForm,
+)
+from bench.config.devices.voltmeters import VoltmeterForm
+from bench.model.forward import ForwardModel
+from bench.run.workbench import Instruments
+from drivers.chambers import ChamberLimits
+from drivers.clock import Clock
+from drivers.interfaces.errors import BenchError
+from drivers.interfaces.person import Person
+from drivers.motion import Travel
+from drivers.wire.causes import Haste
+from drivers.wire.holding import Holding
+from drivers.wire.visa import MessageSession, SerialSettings, Wire
+from sim.bench import SimulatedMeter
+from sim.keysight_34970a.multiplexer import Probe
+from sim.wires.faults import Fault
+from sim.wires.session import Dialect
+from sim.world.operator import OperatorSettings
+from sim.world.pose import LevelSettings
+from sim.world.power import PowerSettings, Rail
+from sim.world.world import World, WorldSettings
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What drivers are given beside their own section.
+
+    `resources` has by name the resources that are taken in place of those in the bench file; `haste` tells
+    when instruments that do not answer are waited for no longer. What is opened is held by `holding`; `sessions`
+    takes up the sessions that are made, by the names of their instruments.
+    """
+
+    person: Person
+    clock: Clock
+    line_hz: float
+    wire: Wire | None = None
+    resources: Mapping[str, str] | None = None
+    haste: Haste | None = None
+    holding: Holding | None = None
+    sessions: dict[str, MessageSession] = field(default_factory=dict)
+
+    def session(self, name: str, section: WiredForm) -> MessageSession:
+        """Return the message session of an instrument; nothing is opened."""
+        port = section.port()
+        self.sessions[name] = MessageSession(
+            name,
+            (self.resources or {}).get(name, section.resource),
+            timeout_s=section.timeout,
+            read_termination=port.read_termination,
+            write_termination=port.write_termination,
+            read_tail=port.read_tail,
+            serial=None if port.serial is None else SerialSettings(**port.serial),
+            wire=self.wire,
+            haste=self.haste,
+            holding=self.holding,
+        )
+        return self.sessions[name]
+
+
+def instruments_of(bench: BenchFile, given: Surroundings) -> Instruments:
+    """Make the drivers that a bench file names; nothing is opened yet.
+
+    Raises `BenchError` for a driver that cannot be loaded.
+    """
+    sections = bench.instruments
+    meters = [_driver(meter, given) for meter in sections.voltmeters]
+    return Instruments(
+        meters,
+        _driver(sections.head, given),
+        None if sections.chamber is None else _driver(sections.chamber, given),
+        None if sections.level is None else _driver(sections.level, given),
+        _thermometer(sections, meters, given),
+        None if sections.power_supply is None else _driver(sections.power_supply, given),
+    )
+
+
+def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]) -> Any:
+    """Return the class of a section's driver or simulation. Raises `BenchError` where it cannot be loaded."""
+    device = devices().get(section.driver)
+    if device is None:
+        raise BenchError(
+            section.name, f"no driver '{section.driver}' is here", "name its folder with --devices"
+        )
+    try:
+        return device.class_of(which)
+    except Exception as error:
+        cause = f"the {which} {getattr(device, which)} cannot be loaded ({type(error).__name__}: {error})"
+        raise BenchError(section.name, cause, "mend it, then start again") from error
+
+
+def _thermometer(sections: InstrumentsSection, meters: Sequence[Any], given: Surroundings) -> Any:
+    """Return the driver of the thermometer; beside the signals it speaks over the voltmeter's session."""
+    section = sections.thermometer
+    if section is None:
+        return None
+    driver, options = loaded_class(section, "driver"), section.driver_options()
+    if not isinstance(section, WiredForm):
+        return driver(section.name, given.person, **options)
+    options["line_hz"] = given.line_hz
+    beside = sections.meter_of_thermometer
+    if beside is None:
+        return driver(section.name, given.session(section.name, section), given.clock, **options)
+    options |= {"interface": beside.interface, "meter": meters[sections.voltmeters.index(beside)]}
+    return driver(section.name, given.sessions[beside.name], given.clock, **options)
+
+
+def _driver(section: InstrumentForm, given: Surroundings) -> Any:
+    driver, options = loaded_class(section, "driver"), section.driver_options()
+    if not isinstance(section, WiredForm):
+        return driver(section.name, given.person, **options)
+    session = given.session(section.name, section)
+    if isinstance(section, VoltmeterForm):
+        options |= {"interface": section.interface, "line_hz": given.line_hz}
+        return driver(section.name, section.inputs_used, session, given.clock, **options)
+    if isinstance(section, MotorisedHeadForm):
+        return driver(section.name, session, given.clock, Travel(**section.travel()), **options)
+    if isinstance(section, ControlledChamberForm):
+        return driver(section.name, session, given.clock, ChamberLimits(*section.limits()), **options)
+    if isinstance(section, WiredSupplyForm | LevelForm):
+        return driver(section.name, session, given.clock, **options)
+    raise TypeError(f"{type(section).__name__} has a wire, but the form of no role")
+
+
+def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> World:
+    """Make the world of a bench file: its stand and block as truth, `model` with its effects."""
+    truth = bench.simulation
+    settings = WorldSettings(
+        block=bench.simulated_block(),
+        model=model,
+        stand=bench.stand_distributions(),
+        seed=seed,
+        ambient_c=truth.ambient_temperature,
+        chamber_rate_c_s=truth.chamber.rate,
+        chamber_lag_s=truth.chamber.lag,
+        chamber_off_lag_s=truth.chamber.off_lag,
+        power=power_of(bench),
+        level=LevelSettings(
+            truth.level.zero_along, truth.level.zero_across, truth.level.noise, truth.level.scale
+        ),
+    )
+    return World(settings, clock)
+
+
+def power_of(bench: BenchFile) -> PowerSettings:
+    """Return what the simulated block takes from the supply of the bench: nothing where it has none."""
+    truth, feed = bench.simulation.power_supply, bench.unit_under_test.supply
+    if feed is None or bench.instruments.power_supply is None:
+        return PowerSettings()
+    rails = [
+        Rail(
+            name=rail.name,
+            output=rail.output,
+            nominal_v=rail.voltage,
+            working_v=_span(
+                truth.brown_out * rail.voltage, max(rail.limits.minimum, rail.limits.maximum, key=abs)
+            ),
+            absolute_v=(rail.limits.minimum, rail.limits.maximum),
+            current_a=(rail.current.minimum + rail.current.maximum) / 2.0
+            if truth.current is None
+            else truth.current,
+            absolute_a=rail.limits.current,
+        )
+        for rail in feed.rails
+    ]
+    return PowerSettings(
+        tuple(rails),
+        current_by_temperature=truth.current_by_temperature,
+        in_rush=truth.in_rush,
+        in_rush_time_s=truth.in_rush_time,
+        dead_offset_v=truth.dead_offset,
+        dead_noise_v=truth.dead_noise,
+    )
+
+
+def _span(one: float, other: float) -> tuple[float, float]:
+    return min(one, other), max(one, other)
+
+
+def operator_of(bench: BenchFile) -> OperatorSettings:
+    """Return how the person at the simulated bench works."""
+    operator = bench.simulation.operator
+    return OperatorSettings(
+        setting_deviation_rad=operator.setting_deviation,
+        resolution_rad=operator.resolution,
+        turn_time_s=(operator.turn_time[0], operator.turn_time[1]),
+        mount_time_s=operator.mount_time,
+        slip_probability=operator.slip_probability,
+    )
+
+
+def simulated_instruments(bench: BenchFile, world: World) -> dict[str, Dialect | SimulatedMeter]:
+    """Return by name what stands for each instrument with a wire; for one that a person works there is none.
+
+    Raises `BenchError` for a simulation that cannot be loaded.
+    """
+    simulated: dict[str, Dialect | SimulatedMeter] = {}
+    beside = bench.instruments.meter_of_thermometer
+    for section in bench.instruments.all():
+        if section.by_hand or (isinstance(section, ThermometerForm) and beside is not None):
+            continue
+        make: Any = loaded_class(section, "simulation")
+        options = section.simulation_options(getattr(bench.simulation, section.role))
+        if isinstance(section, VoltmeterForm):
+            options["line_hz"] = bench.line_frequency
+            probes = {} if section is not beside else _probes(bench, world)
+            simulated[section.name] = SimulatedMeter(make, section.inputs_used, options, probes)
+        else:
+            simulated[section.name] = make(world, **options)
+    return simulated
+
+
+def _probes(bench: BenchFile, world: World) -> dict[int, Probe]:
+    """Return the sensor that is wired to the voltmeter with the signals, by its channel."""
+    section = bench.instruments.thermometer
+    truth = bench.simulation.thermometer
+    if not isinstance(section, Keysight34970AThermometerSection):
+        return {}
+    own = {"error_c": truth.error, "noise_c": truth.noise, "air_share": truth.air_share}
+    return {section.channel: Probe(world, section.sensor, **own)}
+
+
+def buses_of(bench: BenchFile) -> dict[str, dict[str, int]]:
+    """Return by the name of each GPIB adapter the instruments behind it with their addresses."""
+    buses: dict[str, dict[str, int]] = {name: {} for name in bench.instruments.adapters.values()}
+    for section in bench.instruments.all():
+        if isinstance(section, WiredForm) and section.place is not None:
+            buses[bench.instruments.adapters[section.place.adapter]][section.name] = section.place.address
+    return buses
+
+
+def on_terminals(bench: BenchFile) -> tuple[str, ...]:
+    """Return the names of the instruments whose serial port a pseudo-terminal can stand for.
+
+    That is one with 8 data bits: pyvisa-py cannot set 7 on a pseudo-terminal, which knows neither.
+    """
+    return tuple(
+        section.name
+        for section in bench.instruments.all()
+        if isinstance(section, WiredForm)
+        and is_serial(section.resource)
+        and getattr(getattr(section, "serial", None), "data_bits", 8) == 8
+    )
+
+
+def faults_of(bench: BenchFile) -> list[Fault]:
+    """Return the faults of the bench file."""
+    return [Fault.parse(fault.to_plain()) for fault in bench.simulation.faults]

@@ -1,0 +1,270 @@
+"""Checks of the head: limits by refused commands alone, small moves both ways, a stop on the way."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Final, Protocol, runtime_checkable
+
+from bench.base.words import APPROACH, degrees
+from bench.config.devices.sections import MotorisedHeadForm
+from bench.run.commission.session import Evening, Figure, Finding, NoteWith, State
+from drivers.angles import format_dms
+from drivers.interfaces import BenchError, Direction, DividingHead, LimitExceeded
+from drivers.making_safe import SEE_IT_STANDS, Attempts
+
+LIMITS: Final = "limits"
+MOVE: Final = "small move"
+STOP: Final = "stop"
+
+WAY_IN_BACKOFFS: Final = 2.0
+"""A small move is twice the backoff: its end is come to from the demanded side without passing it."""
+STOPPED_AFTER_S: Final = 1.0
+"""The head is stopped so long after it was sent off, by its speed half way."""
+TIME_MARGIN: Final = 2.0
+TIME_MARGIN_S: Final = 2.0
+"""A move may take so much more than its way at its speed: it speeds up, slows down, and is polled."""
+MANUAL_WAY_RAD: Final = math.radians(5.0)
+_MOST_LOOKS: Final = 40
+_LOOK_S: Final = 0.25
+
+
+@runtime_checkable
+class Motor(Protocol):
+    """A head with a motor, as far as a stop needs it (`drivers.motion.Axis`); angles in rad."""
+
+    name: str
+
+    def prepare(self) -> None:
+        """Make the axis ready to move."""
+        ...
+
+    def position_rad(self) -> float:
+        """Return the angle read back."""
+        ...
+
+    def start(self, target_rad: float) -> None:
+        """Begin to move to an angle."""
+        ...
+
+    def stop(self) -> None:
+        """Stop the motion where it is."""
+        ...
+
+
+# --- limits -----------------------------------------------------------------------------------------
+
+
+def check_limits(evening: Evening) -> None:
+    """Demand what lies beyond the head's limits while no wire is open: it must be refused, and cannot be sent."""
+    head, form = evening.instruments.head, evening.section(evening.instruments.head.name)
+    if isinstance(form, MotorisedHeadForm):
+        evening.carry_out(LIMITS, head, partial(_refused_beyond, head, form), opened=False)
+
+
+def _refused_beyond(head: DividingHead, form: MotorisedHeadForm) -> Finding:
+    beyond: tuple[tuple[float, Direction], ...] = (
+        (form.minimum - form.backoff, -1),
+        (form.maximum + form.backoff, 1),
+        (form.minimum, 1),  # its approach would begin outside
+        (form.maximum, -1),
+    )
+    for target_rad, direction in beyond:
+        refuse_or_say(
+            head.name,
+            f"{degrees(target_rad)}, {APPROACH[direction]},",
+            partial(head.move, target_rad, direction, "commission"),
+        )
+    said = (
+        f"what leads beyond {degrees(form.minimum)} to {degrees(form.maximum)} is refused before it is sent"
+    )
+    return Finding(LIMITS, head.name, State.WORKS, said)
+
+
+def refuse_or_say(name: str, what: str, demand: Callable[[], object]) -> None:
+    """Make a demand that must be refused; no wire is open, so that nothing can come of it.
+
+    Raises `NoteWith` where it is not refused for the limits.
+    """
+    try:
+        demand()
+    except LimitExceeded:
+        return
+    except BenchError as error:
+        said = f"{what} was not refused before it would have been sent ({error.cause})"
+    else:
+        said = f"{what} was not refused"
+    remedy = "do not use it: its driver does not keep the limits of the bench file"
+    raise NoteWith(Finding(LIMITS, name, State.OTHER, said, remedy=remedy))
+
+
+# --- moves ------------------------------------------------------------------------------------------
+
+
+def check_moves(evening: Evening) -> None:
+    """Turn the head a little both ways and stop it once on the way, each announced and confirmed."""
+    head = evening.instruments.head
+    form = evening.section(head.name)
+    if isinstance(form, MotorisedHeadForm) and isinstance(head, Motor):
+        _with_motor(evening, head, head, form)
+    else:
+        _by_hand(evening, head)
+
+
+def _with_motor(evening: Evening, head: DividingHead, motor: Motor, form: MotorisedHeadForm) -> None:
+    stands: list[float] = []
+
+    def stand() -> Finding:
+        stands.append(_within(form, motor.position_rad()))
+        return Finding("position", head.name, State.WORKS, f"stands at {degrees(stands[0])}")
+
+    evening.carry_out("position", head, stand)
+    if not stands:
+        return
+    here_rad, way_rad = stands[0], WAY_IN_BACKOFFS * form.backoff
+    side: Direction = 1 if here_rad + way_rad + form.backoff <= form.maximum else -1
+    there_rad = here_rad + side * way_rad
+    back: Direction = -1 if side > 0 else 1
+    away = evening.carry_out(MOVE, head, partial(_moved, evening, head, form, here_rad, there_rad, side))
+    if away.state is State.SKIPPED:
+        return
+    if away.state in (State.WORKS, State.SLOWER):
+        evening.carry_out(STOP, head, partial(_stopped, evening, motor, form, there_rad, side))
+    evening.carry_out(MOVE, head, partial(_moved, evening, head, form, None, here_rad, back))
+
+
+def _within(form: MotorisedHeadForm, angle_rad: float) -> float:
+    """Return where the head stands, at a limit where it is beyond it by no more than the tolerance.
+
+    Raises `NoteWith` for a head that stands outside, or has no room for a small move.
+    """
+    low_rad, high_rad = form.minimum, form.maximum
+    room_rad = (WAY_IN_BACKOFFS + 1.0) * form.backoff
+    said = ""
+    if not low_rad - form.tolerance <= angle_rad <= high_rad + form.tolerance:
+        said = (
+            f"stands at {degrees(angle_rad)}, outside its limits, {degrees(low_rad)} to {degrees(high_rad)}"
+        )
+        remedy = "bring it back within them by hand, minding the cables; check its zero in the bench file"
+    elif high_rad - low_rad < room_rad or max(high_rad - angle_rad, angle_rad - low_rad) < room_rad:
+        said = f"stands at {degrees(angle_rad)}, with no room for a move of {degrees(room_rad)}"
+        remedy = "turn it by hand to the middle of its limits, or widen these"
+    if said:
+        raise NoteWith(Finding("position", form.name, State.OTHER, said, remedy=remedy))
+    return min(max(angle_rad, low_rad), high_rad)
+
+
+def _moved(
+    evening: Evening,
+    head: DividingHead,
+    form: MotorisedHeadForm,
+    from_rad: float | None,
+    target_rad: float,
+    direction: Direction,
+) -> Finding:
+    """Move after the person has said that the way is clear."""
+    first = ""
+    if from_rad is not None and getattr(form, "allow_homing", False):
+        first = " It may first turn to its reference, beyond any limit: its bench file allows that."
+    evening.confirm(
+        f"The head will turn to {degrees(target_rad)} with the angle {APPROACH[direction]}, at "
+        f"{degrees(form.speed)} a second.{first} Is the way clear, and do all cables hang free?",
+        action={"do": "stand_clear"},
+    )
+    start_rad = _position_rad(head) if from_rad is None else from_rad
+    begun_s = evening.time_s()
+    position = head.move(target_rad, direction, "commission")
+    took_s = evening.time_s() - begun_s
+    least_s = abs(target_rad - start_rad) / form.speed + form.settle
+    off_rad = position.angle_rad - target_rad
+    figures = (
+        Figure("beside the target", math.degrees(off_rad) * 3600.0, "″", f"±{format_dms(form.tolerance, 1)}"),
+        Figure("took", took_s, "s", f"{least_s:.2g} s by its speed and settling"),
+    )
+    said = f"came to {degrees(target_rad)}, {APPROACH[direction]}"
+    if took_s <= TIME_MARGIN * (least_s - form.settle) + form.settle + TIME_MARGIN_S:
+        return Finding(MOVE, head.name, State.WORKS, said, figures)
+    return Finding(
+        MOVE, head.name, State.SLOWER, f"{said}, in {took_s:.2g} s where its speed makes {least_s:.2g} s", figures,
+        "check its speed in the bench file and in the controller, and its load",
+    )  # fmt: skip
+
+
+def _position_rad(head: DividingHead) -> float:
+    return head.position_rad() if isinstance(head, Motor) else math.nan
+
+
+def _stopped(
+    evening: Evening, motor: Motor, form: MotorisedHeadForm, here_rad: float, side: Direction
+) -> Finding:
+    """Send the head off and stop it half way; wherever this ends, it was told to stop."""
+    room_rad = (form.maximum - here_rad) if side > 0 else (here_rad - form.minimum)
+    way_rad = min(max(2.0 * STOPPED_AFTER_S * form.speed, form.backoff), room_rad)
+    target_rad = here_rad + side * way_rad
+    evening.confirm(
+        f"The head will set off from {degrees(here_rad)} towards {degrees(target_rad)} and be stopped half way. "
+        "Is the way clear, and your hand at the emergency stop?",
+        action={"do": "stand_clear"},
+    )
+    try:
+        motor.prepare()
+        motor.start(target_rad)
+        evening.clock.sleep(0.5 * way_rad / form.speed)
+        told_s = evening.time_s()
+        motor.stop()
+    except BaseException as error:
+        attempts = Attempts()
+        if not attempts.make(f"{form.name}: {SEE_IT_STANDS}", motor.stop):
+            error.add_note(attempts.end())
+        raise
+    rest_rad = _at_rest(evening, motor, form)
+    took_s = evening.time_s() - told_s
+    left_rad = side * (target_rad - rest_rad)
+    figures = (
+        Figure("stood still after", took_s, "s"),
+        Figure("went", math.degrees(side * (rest_rad - here_rad)), "°", f"of {degrees(way_rad)}"),
+    )
+    if left_rad > form.tolerance and side * (rest_rad - here_rad) > form.tolerance:
+        said = f"stopped at {degrees(rest_rad)}, on its way to {degrees(target_rad)}"
+        return Finding(STOP, form.name, State.WORKS, said, figures)
+    if left_rad > form.tolerance:
+        said, remedy = "did not set off before it was stopped", "check its load, its motor and its speed"
+    else:
+        said = f"was told to stop half way and went on to {degrees(rest_rad)}"
+        remedy = "do not use it before its stop works; keep to the emergency stop till then"
+    return Finding(STOP, form.name, State.OTHER, said, figures, remedy)
+
+
+def _at_rest(evening: Evening, motor: Motor, form: MotorisedHeadForm) -> float:
+    """Wait until two looks show the same angle; return it. Raises `NoteWith` for a head that goes on turning."""
+    before_rad = motor.position_rad()
+    for _ in range(_MOST_LOOKS):
+        evening.clock.sleep(_LOOK_S)
+        angle_rad = motor.position_rad()
+        if abs(angle_rad - before_rad) <= form.tolerance:
+            return angle_rad
+        before_rad = angle_rad
+        if not form.minimum <= angle_rad <= form.maximum:
+            break
+    with contextlib.suppress(Exception):
+        motor.stop()
+    said = f"still turns after it was told to stop, at {degrees(before_rad)}"
+    raise NoteWith(
+        Finding(STOP, form.name, State.OTHER, said, remedy="use the emergency stop; have the head seen to")
+    )
+
+
+def _by_hand(evening: Evening, head: DividingHead) -> None:
+    """Have a person turn the head a little both ways and type what its scale shows."""
+    ways: tuple[tuple[float, Direction], ...] = ((2.0 * MANUAL_WAY_RAD, 1), (MANUAL_WAY_RAD, -1))
+    for number, (target_rad, direction) in enumerate(ways, start=1):
+        evening.carry_out(MOVE, head, partial(_turned, head, target_rad, direction, number))
+
+
+def _turned(head: DividingHead, target_rad: float, direction: Direction, number: int) -> Finding:
+    position = head.move(target_rad, direction, f"commission/head-{number}")
+    off = Figure("beside the target", math.degrees(position.angle_rad - target_rad) * 3600.0, "″")
+    said = f"was turned to {degrees(target_rad)}, {APPROACH[direction]}, and read"
+    return Finding(MOVE, head.name, State.WORKS, said, (off,))

@@ -1,0 +1,308 @@
+"""Checks of the voltmeters: settings, time of a reading, simultaneity, noise with shorted inputs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, Protocol, runtime_checkable
+
+import numpy as np
+
+from bench.base.numbers import scale_for
+from bench.config.devices.voltmeters import VoltmeterForm
+from bench.run.commission.session import Evening, Figure, Finding, State
+from bench.run.workbench import QUICK_NPLC
+from drivers.interfaces import Channel, Voltmeter, VoltmeterSettings
+
+SETTINGS: Final = "settings"
+TIME: Final = "time of a reading"
+TOGETHER: Final = "together"
+NOISE: Final = "noise, inputs shorted"
+
+TIMED_SAMPLES: Final = 10
+NOISE_SAMPLES: Final = 30
+SLOW_NPLC: Final = 10.0
+"""The longest integration that is tried: readings of a calibration seldom take more."""
+TIME_MARGIN: Final = 1.05
+TIME_MARGIN_S: Final = 0.25
+"""A reading may take so much more than its samples: the commands around it pass over the wire, too."""
+START_PART: Final = 0.1
+"""Meters started within this part of a reading sample the same signal."""
+SIGNIFICANCE: Final = 1e-3
+"""A meter within its bounds is said to be outside by chance so often, a channel."""
+
+
+@runtime_checkable
+class _Timed(Protocol):
+    """A voltmeter whose driver knows how long a reading takes."""
+
+    def reading_time_s(self, settings: VoltmeterSettings, character_time_s: float = 0.0) -> float:
+        """Return the time from the start until the last character of the readings has come, s."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """How far within one set the starts of the meters lie apart, and the arrivals of their readings, s."""
+
+    starts_s: float
+    ends_s: float
+
+
+# --- settings ---------------------------------------------------------------------------------------
+
+
+def quick(evening: Evening, meter: Voltmeter) -> VoltmeterSettings:
+    """Return short settings for a look at a meter."""
+    return _settings(evening, meter, QUICK_NPLC, evening.file.least_samples)
+
+
+def slow(evening: Evening, meter: Voltmeter, samples: int) -> VoltmeterSettings:
+    """Return the settings of a careful reading."""
+    return _settings(evening, meter, SLOW_NPLC, samples)
+
+
+def _settings(evening: Evening, meter: Voltmeter, nplc: float, samples: int) -> VoltmeterSettings:
+    """Return settings that all meters can have, or at least this one."""
+    has = evening.file.nplc_supported or _form(evening, meter).kind.limits.nplc
+    near = [one for one in has if one <= nplc] or [min(has)]
+    few, many = evening.file.least_samples, evening.file.most_samples
+    return VoltmeterSettings(evening.file.voltmeter_range_v, max(near), min(max(samples, few), many))
+
+
+def check_settings(evening: Evening) -> None:
+    """Set every meter up in two ways; the driver reads back each time what it has set."""
+    for meter in evening.instruments.voltmeters:
+        evening.carry_out(SETTINGS, meter, partial(_set_twice, evening, meter))
+
+
+def _set_twice(evening: Evening, meter: Voltmeter) -> Finding:
+    ways = (slow(evening, meter, TIMED_SAMPLES), quick(evening, meter))
+    begun_s = evening.time_s()
+    for way in ways:
+        meter.configure(way)
+    took = Figure("set up in", (evening.time_s() - begun_s) / len(ways), "s")
+    told = " and ".join(f"{way.nplc:g} NPLC" for way in ways)
+    return Finding(SETTINGS, meter.name, State.WORKS, f"{ways[0].range_v:g} V with {told} came back", (took,))
+
+
+# --- time -------------------------------------------------------------------------------------------
+
+
+def check_time(evening: Evening) -> None:
+    """Take a reading of each meter alone, and hold its time against what the driver expects."""
+    for meter in evening.instruments.voltmeters:
+        evening.carry_out(TIME, meter, partial(_timed, evening, meter), by_answers=False)
+
+
+def _timed(evening: Evening, meter: Voltmeter) -> Finding:
+    settings = slow(evening, meter, TIMED_SAMPLES)
+    meter.configure(settings)
+    samples, took_s = _reading(evening, meter)
+    shown = ", ".join(f"{channel} {values[0]:+.6f} V" for channel, values in samples.items())
+    said = f"{settings.samples} samples at {settings.nplc:g} NPLC ({shown})"
+    return _judged_by_time(evening, meter, settings, Finding(TIME, meter.name, State.WORKS, said), took_s)
+
+
+def _reading(evening: Evening, meter: Voltmeter) -> tuple[Mapping[Channel, tuple[float, ...]], float]:
+    begun_s = evening.time_s()
+    meter.start()
+    samples = meter.fetch()
+    return samples, evening.time_s() - begun_s
+
+
+def _judged_by_time(
+    evening: Evening, meter: Voltmeter, settings: VoltmeterSettings, found: Finding, took_s: float
+) -> Finding:
+    """Return a finding with how long the reading took; one that took longer than expected is slower."""
+    expected_s = expected_time_s(evening, meter, settings)
+    held = "the driver does not say" if expected_s is None else f"the driver expects {expected_s:.3g} s"
+    figures = (*found.figures, Figure("reading took", took_s, "s", held))
+    if expected_s is None or took_s <= TIME_MARGIN * expected_s + TIME_MARGIN_S:
+        return Finding(found.check, found.instrument, found.state, found.said, figures)
+    said = f"{found.said}, in {took_s:.3g} s where the driver expects {expected_s:.3g} s"
+    remedy = (
+        "see what the meter does beside (display, filter, trigger delay, a slow adapter); the line frequency "
+        "in the bench file must be that of the mains"
+    )
+    return Finding(found.check, found.instrument, State.SLOWER, said, figures, remedy)
+
+
+def expected_time_s(evening: Evening, meter: Voltmeter, settings: VoltmeterSettings) -> float | None:
+    """Return how long the driver expects a reading to take, s; None where it does not say."""
+    if not isinstance(meter, _Timed):
+        return None
+    section = _form(evening, meter)
+    serial = section.port().serial if section.interface == "rs232" else None
+    return meter.reading_time_s(settings, _character_s(serial))
+
+
+def _character_s(serial: Mapping[str, object] | None) -> float:
+    """Return how long a character takes on a serial line, start bit included, s; none on another wire."""
+    if serial is None:
+        return 0.0
+    bits = 1 + int(str(serial["data_bits"])) + (serial["parity"] != "none") + int(str(serial["stop_bits"]))
+    return bits / float(str(serial["baud_rate"]))
+
+
+# --- together ---------------------------------------------------------------------------------------
+
+
+def check_together(evening: Evening) -> None:
+    """Start all meters as a run does, and see how far apart they begin and end."""
+    meters = [meter for meter in evening.instruments.voltmeters if evening.present(meter)]
+    if not meters:
+        return
+    first, *others = meters
+    evening.carry_out(
+        TOGETHER, first, partial(_started_together, evening, meters), also=others, by_answers=False
+    )
+
+
+def _started_together(evening: Evening, meters: Sequence[Voltmeter]) -> Finding:
+    settings = slow(evening, meters[0], TIMED_SAMPLES)
+    for meter in meters:
+        meter.configure(settings)
+    begun_s = evening.time_s()
+    spread = _one_set(evening, meters)
+    took_s = evening.time_s() - begun_s
+    expected_s = max((expected_time_s(evening, meter, settings) or 0.0 for meter in meters), default=0.0)
+    most_s = START_PART * (expected_s or took_s)
+    names = " ".join(meter.name for meter in meters)
+    figures = (
+        Figure("starts within", spread.starts_s, "s", f"{most_s:.2g} s, a tenth of a reading, is the most"),
+        Figure("readings came within", spread.ends_s, "s"),
+        Figure("the set took", took_s, "s", f"one reading {expected_s:.3g} s" if expected_s else ""),
+    )
+    if len(meters) == 1:
+        channels = " ".join(meters[0].channels)
+        said = f"one meter reads {channels}" + (" one after the other" if len(meters[0].channels) > 1 else "")
+        return Finding(TOGETHER, meters[0].name, State.WORKS, said, figures[2:])
+    late_s = TIME_MARGIN * expected_s + TIME_MARGIN_S * len(meters)
+    if spread.starts_s > most_s or (expected_s and took_s > late_s):
+        return Finding(
+            TOGETHER, meters[-1].name, State.SLOWER,
+            f"the meters ({names}) do not sample together: started within {spread.starts_s:.2g} s, the set took "
+            f"{took_s:.3g} s", figures,
+            "find the slow wire (the other checks have the time of each), or settle longer before each reading",
+        )  # fmt: skip
+    return Finding(TOGETHER, meters[0].name, State.WORKS, f"{names} sample the same moment", figures)
+
+
+def _one_set(evening: Evening, meters: Sequence[Voltmeter]) -> Spread:
+    starts, ends = [], []
+    for meter in meters:
+        meter.start()
+        starts.append(evening.time_s())
+    for meter in meters:
+        meter.fetch()
+        ends.append(evening.time_s())
+    return Spread(max(starts) - min(starts), max(ends) - min(ends))
+
+
+# --- noise ------------------------------------------------------------------------------------------
+
+
+def check_noise(evening: Evening) -> None:
+    """Have the inputs shorted; hold mean and scatter of each channel against the data sheet's limits."""
+    evening.confirm(
+        "Take the signals off the voltmeters and short their inputs, HI to LO, with copper and no longer than "
+        "needed; wait two minutes. Are all inputs shorted?",
+        action={"do": "select_input", "source": "short"},
+    )
+    for meter in evening.instruments.voltmeters:
+        evening.carry_out(NOISE, meter, partial(_noise, evening, meter), by_answers=False)
+    evening.confirm(
+        "Take the shorts off and connect the signals again. Done?",
+        action={"do": "select_input", "source": "signal"},
+    )
+
+
+def _noise(evening: Evening, meter: Voltmeter) -> Finding:
+    settings = slow(evening, meter, NOISE_SAMPLES)
+    meter.configure(settings)
+    samples, took_s = _reading(evening, meter)
+    limit_v = zero_limit_v(evening, meter)
+    stated_v = evening.file.stand_distributions()["voltmeter_error"].limit
+    sigma_v = scatter_limit_v(evening, meter, settings.nplc)
+    figures: list[Figure] = []
+    wrong: list[str] = []
+    for channel, values in samples.items():
+        shown, trouble = _of_channel(channel, values, limit_v, stated_v, sigma_v)
+        figures += shown
+        wrong += trouble
+    n = settings.samples
+    said = f"{n} samples at {settings.nplc:g} NPLC lie at zero, as data sheet or bench file allow"
+    if not wrong:
+        found = Finding(NOISE, meter.name, State.WORKS, said, tuple(figures))
+        return _judged_by_time(evening, meter, settings, found, took_s)
+    return Finding(
+        NOISE, meter.name, State.OTHER, ", ".join(wrong), tuple(figures),
+        "see that the input is really shorted, at the meter's own terminals, and that it has warmed up for an "
+        "hour; if it stays so, have the meter adjusted",
+    )  # fmt: skip
+
+
+def _of_channel(
+    channel: Channel, values: Sequence[float], limit_v: float, stated_v: float, sigma_v: float
+) -> tuple[list[Figure], list[str]]:
+    """Return mean and standard deviation of a channel, and what is wrong with them.
+
+    The mean may lie within the larger of the two limits and three standard deviations of itself. The standard
+    deviation `s` of `n` samples is too large where (n - 1) s² / sigma² is beyond what chi-square with n - 1
+    degrees of freedom exceeds with the probability `SIGNIFICANCE`.
+    """
+    n = len(values)
+    mean_v, s_v = float(np.mean(values)), float(np.std(values, ddof=1)) if n > 1 else 0.0
+    most_mean_v = max(limit_v, stated_v) + 3.0 * s_v / math.sqrt(n)
+    most_s_v = largest_scatter_v(sigma_v, n)
+    held = f"±{_volts(limit_v)} in 90 days by the data sheet, ±{_volts(stated_v)} by the bench file"
+    figures = [
+        _figure(f"{channel} mean", mean_v, held),
+        _figure(f"{channel} standard deviation", s_v, f"up to {_volts(most_s_v)} for {_volts(sigma_v)}"),
+    ]
+    wrong = []
+    if abs(mean_v) > most_mean_v:
+        wrong.append(f"{channel} lies at {_volts(mean_v)}, not within {_volts(most_mean_v)} of zero")
+    if s_v > most_s_v:
+        wrong.append(f"{channel} scatters by {_volts(s_v)}, more than {_volts(most_s_v)}")
+    return figures, wrong
+
+
+def largest_scatter_v(sigma_v: float, n: int) -> float:
+    """Return up to where the standard deviation of `n` samples may lie when theirs is `sigma_v`, V."""
+    from scipy.stats import chi2
+
+    return sigma_v * math.sqrt(float(chi2.isf(SIGNIFICANCE, n - 1)) / (n - 1)) if n > 1 else sigma_v
+
+
+def zero_limit_v(evening: Evening, meter: Voltmeter) -> float:
+    """Return the maker's limit of error of a shorted input within 90 days, V."""
+    range_v = evening.file.voltmeter_range_v
+    return range_v * _form(evening, meter).kind.accuracy[range_v][1]
+
+
+def scatter_limit_v(evening: Evening, meter: Voltmeter, nplc: float) -> float:
+    """Return the standard deviation that a sample of a steady input may have, V: the maker's resolution.
+
+    Where the facts do not state it, the limit of error at zero.
+    """
+    resolution = _form(evening, meter).kind.resolution
+    within = [part for least, part in resolution.items() if least <= nplc]
+    return evening.file.voltmeter_range_v * min(within) if within else zero_limit_v(evening, meter)
+
+
+def _form(evening: Evening, meter: Voltmeter) -> VoltmeterForm:
+    return next(section for section in evening.file.instruments.voltmeters if section.name == meter.name)
+
+
+def _volts(value_v: float) -> str:
+    scale = scale_for(abs(value_v), "V")
+    return f"{value_v / scale.size:.3g} {scale.unit}"
+
+
+def _figure(what: str, value_v: float, held: str) -> Figure:
+    scale = scale_for(abs(value_v), "V")
+    return Figure(what, value_v / scale.size, scale.unit, held)

@@ -1,0 +1,334 @@
+"""Where readings come from, and which bench file an analysis takes for them and why."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+
+from bench.base.atomic_files import to_text
+from bench.base.files import MEGABYTE, read_regular
+from bench.base.visible import visible
+from bench.config.bench_file.file import BenchFile, load_bench, load_recorded_bench
+from bench.config.bench_file.learned import LearnedFile, load_learned
+from bench.config.shipped import find_bench
+from bench.run.folder import BENCH, IMPORTED, LEARNED, Run
+from bench.run.manifest import sha256
+from bench.run.manifest import sha256 as sha256_of
+from bench.run.same_serial import NO_SERIAL
+
+FORMAT: Final = 1
+SUFFIX: Final = ".json"
+
+
+def _printable(text: str) -> str:
+    if visible(text) != text:
+        raise ValueError("text with control characters")
+    return text
+
+
+_Text = Annotated[str, AfterValidator(_printable)]
+
+
+class _Part(BaseModel):
+    """A part of the file beside a readings file; what it does not know it leaves alone."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
+
+
+class UnitOrigin(_Part):
+    """The block: what it is, its serial number."""
+
+    type: _Text
+    serial: _Text
+
+
+class BenchOrigin(_Part):
+    """The bench file of a run: as it was named, the run's copy of it (from the readings file, too), its SHA-256."""
+
+    file: _Text
+    copied_to: _Text
+    copied_to_from_here: _Text = ""
+    sha256: _Text
+
+
+class Origin(_Part):
+    """Where readings come from. `unit_under_test` is None where nobody stated it, `procedure` is empty as well.
+
+    `serials` are the serial numbers that the instruments stated, kept by real runs and where the bench has
+    certificates. `mended` are the mistakes that are put right in these readings, which are a copy of what was
+    recorded then.
+    """
+
+    simulated: bool
+    run: _Text
+    begun: _Text
+    operator: _Text
+    procedure: _Text
+    plan_hash: _Text
+    unit_under_test: UnitOrigin | None
+    bench: BenchOrigin
+    instruments: dict[_Text, _Text]
+    measured_with: dict[_Text, _Text]
+    serials: dict[_Text, _Text] = {}
+    mended: tuple[_Text, ...] = ()
+
+    def text_beside(self, readings: Path, content: bytes) -> str:
+        """Return the text of the file that stands beside a readings file of this content."""
+        empty = {name for name in ("serials", "mended") if not getattr(self, name)}
+        own = self.model_dump(mode="json", exclude={"sha256", *empty})
+        try:
+            here = os.path.relpath(self.bench.copied_to, readings.absolute().parent)
+        except ValueError:  # on another drive
+            here = ""
+        own["bench"]["copied_to_from_here"] = here
+        about = {"format": FORMAT, "sha256": sha256(content), **own}
+        return to_text(about)
+
+    def bench_file(self, readings: Path) -> Path | None:
+        """Return the bench file that is meant, for a readings file; None where it is not here as it was.
+
+        Looked for in the run's folder, also where both were moved together, and where the run had it from.
+        """
+        places = [self.bench.copied_to, self.bench.copied_to_from_here, self.bench.file]
+        for path in (readings.parent / place for place in places if place):
+            if (content := _read(path)) is not None and sha256(content) == self.bench.sha256:
+                return path
+        return None
+
+
+def instrument_name(identity: str, serial: str, resource: str | None, bench: str) -> str:
+    """Return what an instrument is called: by its serial number, else by what answered where on which bench."""
+    serial = serial.strip()
+    if serial in NO_SERIAL:
+        place = f" at {resource}" if resource else ""
+        return f"{identity}{place} of {bench}"
+    return f"{identity.split(serial, maxsplit=1)[0].strip()} {serial}".strip()
+
+
+@dataclass(frozen=True)
+class Told:
+    """What stands beside a readings file: `origin` where it is believed, `notes` what a reader should know."""
+
+    origin: Origin | None = None
+    notes: tuple[str, ...] = ()
+
+
+def origin_of_run(run: Run) -> Told:
+    """Return where the readings of a run come from; of an imported one what its readings file tells."""
+    if run.imported:
+        told = origin_beside(run.folder / IMPORTED)
+        if told.origin is not None or told.notes:
+            return told
+    manifest = run.manifest
+    unit = manifest.get("unit_under_test")
+    copied_to = run.folder.absolute() / BENCH
+    return Told(
+        Origin(
+            simulated=run.simulated,
+            run=run.name,
+            begun=run.created,
+            operator=_shown(manifest.get("operator")),
+            procedure=_shown(manifest.get("procedure")),
+            plan_hash=_shown(manifest.get("plan_hash")),
+            unit_under_test=unit and UnitOrigin(type=_shown(unit["type"]), serial=_shown(unit["serial"])),
+            bench=BenchOrigin(
+                file=_shown(manifest.get("bench")),
+                copied_to=_shown(copied_to),
+                sha256=sha256(read_regular(copied_to)),
+            ),
+            instruments={name: _shown(identity) for name, identity in run.history.identities.items()},
+            serials={name: _shown(serial) for name, serial in run.history.serials.items()},
+            measured_with={name: _shown(v) for name, v in manifest.get("versions", {}).items()},
+        )
+    )
+
+
+def origin_beside(readings: Path) -> Told:
+    """Return what the file beside a readings file tells of it; nothing where there is none, or another one."""
+    file = readings.with_name(readings.name + SUFFIX)
+    content = _read(file)
+    if content is None or not readings.is_file():
+        return Told()
+    try:
+        about = _About.model_validate_json(content)
+    except ValidationError:
+        return Told() if b'"sha256"' not in content else Told(notes=(f"{file.name} {_UNREADABLE}",))
+    if about.sha256 != sha256(read_regular(readings)):
+        return Told(notes=(_mismatch(readings.name, file.name, about),))
+    mended = "; ".join(about.mended)
+    return Told(about, (f"a copy of {about.run} with mistakes put right: {mended}",) if mended else ())
+
+
+def is_told(file: Path) -> bool:
+    """Whether a file is one that tells where readings come from, of whatever readings file."""
+    try:
+        _About.model_validate_json(_read(file) or b"")
+    except ValidationError:
+        return False
+    return True
+
+
+_UNREADABLE: Final = (
+    "is none that this program writes beside a readings file: what it says of simulation, unit and bench is not "
+    "taken over"
+)
+
+
+class _About(Origin):
+    """The whole file: the origin of the readings, and of which readings file."""
+
+    sha256: _Text
+
+
+def _mismatch(readings: str, file: str, about: Origin) -> str:
+    kind = "SIMULATED instruments" if about.simulated else "real instruments"
+    return (
+        f"{readings} was changed after it was exported: {file} is of another content (SHA-256), of run {about.run} "
+        f"on {kind}; what it says of simulation, unit and bench is not taken over"
+    )
+
+
+def _read(path: Path) -> bytes | None:
+    """Return the content of a regular file of a usual size; None for all else."""
+    try:
+        return read_regular(path, MEGABYTE)
+    except OSError:
+        return None
+
+
+def _shown(value: object) -> str:
+    """Return a value of a record as text that can be printed."""
+    return visible(str(value or ""))
+
+
+DEFAULT_BENCH: Final = "paper-stand"
+_NONE_NAMED: Final = "the shipped one, as none was named"
+
+
+@dataclass(frozen=True)
+class BenchTaken:
+    """A bench file, where it is, its SHA-256, and why that one; `chosen` is why a run had it."""
+
+    file: BenchFile
+    where: str
+    sha256: str
+    why: str
+    chosen: str = ""
+
+    @property
+    def stated(self) -> bool:
+        """Whether anybody said that these readings are of this bench: else it stands in for theirs."""
+        return self.why != _NONE_NAMED
+
+    @property
+    def learned_path(self) -> Path | None:
+        """Where the learned file is that it names: beside it, or the run's copy of it; None where it names none."""
+        if self.file.learned is None:
+            return None
+        own = Path(self.where)
+        copy = own.with_name(LEARNED)
+        return copy if own.name == BENCH and copy.is_file() else own.parent / self.file.learned
+
+    def learned(self) -> LearnedFile | None:
+        """Return what was learned of the bench, None where its file names none. Raises `FileMistakes`."""
+        path = self.learned_path
+        return None if path is None else load_learned(path, self.file)
+
+    @property
+    def words(self) -> str:
+        """Which one it is, and why that one."""
+        return f"{self.file.name}, {self.why}"
+
+    @property
+    def reason(self) -> str:
+        """Why that one, with why the run had it."""
+        return ": ".join(filter(None, (self.why, self.chosen)))
+
+    def to_dict(self) -> dict[str, str]:
+        """Return what a result says of it."""
+        return {"name": self.file.name, "file": self.where, "why": self.reason, "sha256": self.sha256}
+
+
+def bench_path(given: str | None) -> Path:
+    """Return the bench file asked for (in BENCH_FILE, if not said), or the shipped one that stands in for it."""
+    return find_bench(given or os.environ.get("BENCH_FILE") or DEFAULT_BENCH)
+
+
+def why_taken(given: str | None) -> str:
+    """Say why `bench_path` takes the bench file that it takes."""
+    if given:
+        return "as asked for"
+    return "named by BENCH_FILE" if os.environ.get("BENCH_FILE") else _NONE_NAMED
+
+
+def find_bench_file(given: str | BenchFile | BenchTaken | None) -> BenchTaken:
+    """Return the bench file at hand or asked for, else that of BENCH_FILE, else the shipped one."""
+    if isinstance(given, BenchTaken):
+        return given
+    if isinstance(given, BenchFile):
+        return BenchTaken(given, given.name, sha256_of(given.model_dump_json().encode()), "as given")
+    path = bench_path(given)
+    return BenchTaken(load_bench(path), str(path), sha256_of(read_regular(path)), why_taken(given))
+
+
+def bench_for_record(file: BenchFile, path: Path) -> dict[str, bytes]:
+    """Return what a run keeps of a bench file: it, and what it names as learned. Raises `FileMistakes`."""
+    taken = BenchTaken(file, str(path), "", "")
+    kept = {BENCH: read_regular(path)}
+    if taken.learned() is not None and taken.learned_path is not None:
+        kept[LEARNED] = read_regular(taken.learned_path)
+    return kept
+
+
+def recorded_sha256(run: Run) -> str:
+    """Return the SHA-256 of the bench file that a run recorded."""
+    return sha256_of(read_regular(run.folder / BENCH))
+
+
+def bench_of(
+    name: str, run: Run | None, told: Told, given: str | BenchFile | None
+) -> tuple[BenchTaken, tuple[str, ...]]:
+    """Return the bench file for readings, with notes: the one asked for, else that which the run recorded.
+
+    Readings that are no run have the one asked for, of BENCH_FILE, of which the file beside them tells (`told`), or
+    the shipped one, in this order.
+    """
+    if run is not None:
+        return _of_run(run, given)
+    origin = told.origin
+    if origin is None:
+        return find_bench_file(given), told.notes
+    meant = f"the bench file that {Path(name).name} was measured with ({origin.bench.file})"
+    if given is not None or os.environ.get("BENCH_FILE"):
+        taken = find_bench_file(given)
+        other = taken.sha256 != origin.bench.sha256
+        return taken, (f"evaluated with {taken.where} in place of {meant}",) if other else ()
+    path = origin.bench_file(Path(name))
+    if path is None:
+        taken = find_bench_file(None)
+        return taken, (
+            f"{meant} is not here as it was (SHA-256 {origin.bench.sha256[:12]}…): taken is {taken.words}; name it "
+            "with --bench",
+        )
+    why = f"as {Path(name).name}{SUFFIX} names it, of run {origin.run}"
+    return BenchTaken(load_recorded_bench(path), str(path), origin.bench.sha256, why), ()
+
+
+def _of_run(run: Run, given: str | BenchFile | None) -> tuple[BenchTaken, tuple[str, ...]]:
+    if given is not None:
+        taken = find_bench_file(given)
+        return taken, (f"evaluated with {taken.where} in place of the bench file that the run recorded",)
+    path = run.folder / BENCH
+    recorded = load_recorded_bench(path)
+    chosen = run.manifest.get("bench_why", "")
+    return BenchTaken(recorded, str(path), recorded_sha256(run), "as the run recorded it", chosen), ()
+
+
+def own_bench(run: Run) -> tuple[BenchFile, Path]:
+    """Return the bench file that a run recorded, and where it was: a reference is named from there."""
+    stated = Path(str(run.manifest.get("bench", "")))
+    return load_recorded_bench(run.folder / BENCH), stated if stated.is_file() else run.folder / BENCH

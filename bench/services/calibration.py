@@ -1,0 +1,401 @@
+"""From readings to coefficients, alone or with what the units of a type tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from bench.base.arrays import Floats, u_of
+from bench.base.atomic_files import write_whole
+from bench.base.numbers import fixed, places, scale_for, uncertainty
+from bench.base.tables import as_html, as_text, table
+from bench.calibration.budget.sources import assumed_stand
+from bench.calibration.budget.whole import sign
+from bench.calibration.calibrate import calibrate as estimate
+from bench.calibration.estimators import GLS
+from bench.calibration.mistakes import implausible
+from bench.calibration.result import COVERAGE_FACTOR, Calibration
+from bench.calibration.signal_units import refuse_mixed_units, sheet_of
+from bench.calibration.temperature.plateaus import separate_temperatures
+from bench.config.prior_file import PriorFile, load_prior
+from bench.exchange.result import BlockResult
+from bench.history.intercomparison.measured import STANDARD_GRAVITY
+from bench.history.intercomparison.prior import CONFLICT_P, Joined, Prior, join
+from bench.model.block import COEFFICIENTS, Block
+from bench.services.coefficients import Coefficients, block_result
+from bench.services.errors import Refused
+from bench.services.provenance import record_head
+from bench.services.source import Source
+
+
+@dataclass(frozen=True)
+class PriorTaken:
+    """A prior that a calibration was held against, and what became of it; `alone_u` is u without it, (12,)."""
+
+    file: str
+    prior: Prior
+    joined: Joined
+    notes: tuple[str, ...]
+    alone_u: tuple[float, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {
+            "file": self.file,
+            "type": self.prior.kind,
+            "units": len(self.prior.units),
+            "dof": self.prior.dof,
+            "used": self.joined.used,
+            "chi2": self.joined.chi2,
+            "p": self.joined.p,
+            "pull": dict(zip(COEFFICIENTS, self.joined.pull.tolist(), strict=True)),
+            "u_without": dict(zip(COEFFICIENTS, self.alone_u, strict=True)),
+        }
+
+
+def read_prior(path: Path) -> Prior:
+    """Read a prior file. Raises `FileMistakes`, or `Refused` where it is per another g."""
+    file: PriorFile = load_prior(path)
+    if file.per_g_m_s2 != STANDARD_GRAVITY:
+        raise Refused(f"{path}: per_g_m_s2 is {file.per_g_m_s2:g}, expected {STANDARD_GRAVITY}")
+    rows = [file.coefficients[name] for name in COEFFICIENTS]
+    return Prior(
+        kind=file.type,
+        signal=file.signal,
+        mean=np.array([row.mean for row in rows]),
+        covariance=np.array(file.covariance),
+        between=np.array([row.between_units for row in rows]),
+        mean_u=np.array([row.u_mean for row in rows]),
+        dof=file.dof,
+        shrunk=file.shrunk,
+        units=file.units,
+        benches=file.benches,
+        calibrations=file.calibrations,
+        last=file.last,
+        simulated=file.simulated,
+        notes=file.notes,
+    )
+
+
+def with_prior(found: Calibration, source: Source, path: Path) -> tuple[Calibration, PriorTaken]:
+    """Return a calibration joined with a prior of its unit's type, and what became of the prior.
+
+    Where readings and prior disagree the calibration stands as it was, and says so. Raises `Refused` for a prior
+    of another type, signal or kind of instruments, or one that has the unit itself behind it.
+    """
+    prior = read_prior(path)
+    unit = source.bench.unit_under_test
+    _refuse_other(prior, found, source, path)
+    alike = found.covariance - found.covariance_readings
+    joined = join(found.block.vector, found.covariance_readings, alike, prior, found.g_m_s2)
+    notes = []
+    if not unit.serial:
+        notes.append(
+            f"which unit this is was not recorded: that it is none of the {len(prior.units)} behind {path} is "
+            "taken for granted"
+        )
+    if joined.used:
+        notes.append(
+            f"prior of type {prior.kind} ({len(prior.units)} units, {path}) counts beside the readings: they agree "
+            f"(p = {joined.p:.2g}); residuals and noise are those of the readings alone"
+        )
+    else:
+        worst = np.argsort(-np.abs(joined.pull))[:3]
+        off = ", ".join(f"{COEFFICIENTS[k]} by {joined.pull[k]:+.1f} u" for k in worst)
+        notes.append(
+            f"prior of type {prior.kind} NOT USED: it contradicts the readings (p = {joined.p:.1g}, below "
+            f"{CONFLICT_P:g}; {off}); this unit, its mounting or the type is another"
+        )
+    taken = PriorTaken(str(path), prior, joined, tuple(notes), tuple(u_of(found.covariance).tolist()))
+    if not joined.used:
+        return found, taken
+    changed = replace(
+        found,
+        block=Block.from_vector(joined.vector),
+        covariance=joined.covariance,
+        covariance_readings=joined.covariance - alike,
+        gain=np.tensordot(np.eye(len(COEFFICIENTS)) - joined.part, found.gain, axes=1),
+    )
+    return changed, taken
+
+
+def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) -> None:
+    unit = source.bench.unit_under_test
+    name = " ".join(filter(None, (unit.type, unit.serial)))
+    if found.triangular is not None:
+        raise Refused(
+            "--prior: free positions alone leave the block's orientation open, and a prior states it"
+        )
+    if (unit.type or "") != prior.kind:
+        raise Refused(
+            f"{path}: is of type {prior.kind!r}, the unit here is of type {(unit.type or 'unknown')!r}"
+        )
+    if found.unit != prior.signal:
+        raise Refused(f"{path}: coefficients in {prior.signal}/g, but the readings are in {found.unit}")
+    if source.simulated != prior.simulated:
+        its, here = ("simulated", "real") if prior.simulated else ("real", "simulated")
+        raise Refused(f"{path}: made of {its} calibrations, this one is {here}: they are not mixed")
+    if unit.serial and name in prior.units:
+        raise Refused(
+            f"{path}: {name} is among the units behind it, and would count twice; make one without it: bench fleet "
+            f"prior 'type={prior.kind}' 'unit!={name}' --prior-out FILE"
+        )
+
+
+SEVERAL_TEMPERATURES = 3
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One of the twelve, in `unit` (such as V/g, of a bias V), with its combined standard uncertainty `u`.
+
+    `u_readings` is the part that the readings and the stand as it is stated show; `dof` are the effective degrees
+    of freedom of u, for which u is widened, so that `U` is `k` times u.
+    """
+
+    value: float
+    u: float
+    unit: str
+    u_readings: float
+    dof: float
+    k: float = COVERAGE_FACTOR
+
+    @property
+    def U(self) -> float:  # noqa: N802 - the symbol of the field
+        """Expanded uncertainty k u."""
+        return self.k * self.u
+
+
+@dataclass(frozen=True)
+class CalibrationResult:
+    """The twelve coefficients of U = K a + U0 with their covariance, and what they were made from.
+
+    a is the specific force in g of the place (+1 g on an upward axis). `calibration` holds all that was found,
+    `source` the readings, the bench and the model, `prior` what units of its type told, where that was asked for.
+    """
+
+    source: Source
+    calibration: Calibration
+    prior: PriorTaken | None = None
+
+    @cached_property
+    def coefficients(self) -> dict[str, Coefficient]:
+        """The twelve by name: "Kxx", "Kxy", … "Kzz" in unit/g, "U0x", "U0y", "U0z" in the unit of the signals."""
+        found = self.calibration
+        columns = (found.block.vector, found.u, found.u_readings, found.dof)
+        rows = zip(COEFFICIENTS, *(column.tolist() for column in columns), strict=True)
+        return {
+            name: Coefficient(value, u, coefficient_unit(name, found.unit), own, dof)
+            for name, value, u, own, dof in rows
+        }
+
+    @property
+    def covariance(self) -> Floats:
+        """Combined covariance of the coefficients, shape (12, 12), in the order of `coefficients`."""
+        return self.calibration.covariance
+
+    def as_coefficients(self) -> Coefficients:
+        """Return the coefficients as those of another day are read from a file."""
+        own = self.calibration
+        return Coefficients(
+            own.block, own.covariance, own.noise.reading, own.g_m_s2, own.unit, self.source.simulated,
+            own.covariance_same_meters if own.sources else None, self.source.meters, own.gravity_u,
+            self.source.made_at or "", own.block_terms if own.sources else None, own.wander,
+        )  # fmt: skip
+
+    @property
+    def bench(self) -> str:
+        """Which bench file gave the errors of the stand and, where nobody said it, gravity; and why that one."""
+        return self.source.taken.words
+
+    @property
+    def g_m_s2(self) -> float:
+        """Local gravity, m/s²: the unit of acceleration in the result."""
+        return self.calibration.g_m_s2
+
+    @cached_property
+    def doubts(self) -> tuple[str, ...]:
+        """Where the block found is not the block announced."""
+        return implausible(self.calibration, self.source.bench.unit_under_test.scale_factors.values)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of the result should know, a sentence each; rows that were left out, too."""
+        readings = self.source.readings
+        return (*self._said, *readings.notes, *readings.skipped)
+
+    @property
+    def _said(self) -> tuple[str, ...]:
+        fit = self.calibration.lack_of_fit.diagnose(self.source.name)
+        return (*fit, *self.doubts, *self._of_prior, *self.calibration.notes)
+
+    @property
+    def _of_prior(self) -> tuple[str, ...]:
+        return () if self.prior is None else self.prior.notes
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the readings do not contradict the model (p of lack of fit not below 1e-4)."""
+        return self.calibration.lack_of_fit.accepted()
+
+    @property
+    def strictly_accepted(self) -> bool:
+        """Whether the model fits the readings (p of lack of fit not below 0.01) and the block is no other."""
+        return not self.doubts and self.calibration.lack_of_fit.accepted(strict=True)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `bench calibrate --json` writes it."""
+        source = self.source
+        unit = source.bench.unit_under_test
+        return {
+            **self.calibration.to_json(),
+            "source": source.name,
+            "bench": source.taken.to_dict(),
+            "made_at": source.made_at,
+            "unit_under_test": {"type": unit.type, "serial": unit.serial} if source.block_name else None,
+            "simulated": source.simulated,
+            "meters": list(source.meters),
+            "corrections": source.traced.to_json(),
+            **({} if source.run is None else {"record": record_head(source.run)}),
+            **({} if self.prior is None else {"prior": self.prior.to_json()}),
+            "notes": [*self._said, *source.readings.notes],
+            "skipped_rows": list(source.readings.skipped),
+        }
+
+    def report(self, path: str | Path) -> None:
+        """Write the page (HTML, with everything in it). Raises `OSError`."""
+        from bench.services.documents import report_page
+
+        write_whole(Path(path), report_page(self)[0])
+
+    @cached_property
+    def derived(self) -> BlockResult:
+        """N = K^-1 and the misalignment angles (`inverse`, `misalignments`), each with its covariance."""
+        return block_result(self.to_dict(), self.source.name)
+
+    def write(
+        self, path: str | Path, form: str, *, nominal: tuple[float, float, float] | None = None
+    ) -> tuple[str, ...]:
+        """Write the coefficients as `bench coefficients --as FORM` does; return what the form cannot hold.
+
+        `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot"; `nominal` are the scale factors,
+        unit/g, by which the last three have the signals in m/s^2. Raises `Refused` for another form, `OSError`.
+        """
+        from bench.services.documents import write_form
+
+        return write_form(self.derived, Path(path), form, nominal)
+
+    def table(self) -> Table:
+        """Return the coefficients with u, U (k = 2) and u of the readings alone, rounded to two digits of u."""
+        shown = table("coefficient", ">value", ">u", ">U (k=2)", ">u, readings", "")
+        for name, found in self.coefficients.items():
+            if found.value == 0.0 and found.u == 0.0:
+                shown.add_row(name, "0", "", "", "", "by convention")
+                continue
+            digits = places(found.u)
+            sizes = (found.value, found.u, found.U, found.u_readings)
+            shown.add_row(name, *(fixed(size, digits) for size in sizes), found.unit)
+        return shown
+
+    def sources_table(self) -> Table:
+        """Return what the readings do not show and u holds: how large it is, where from, and what it costs."""
+        shown = table("u holds also", ">u", "from", ">most", "in")
+        for source in self.calibration.sources:
+            u = u_of(source.covariance)
+            if not np.any(u > 0):
+                continue
+            j = int(np.argmax(u / self.calibration.u))
+            name = COEFFICIENTS[j]
+            size = scale_for(float(u[j]), "V")
+            per = "" if name.startswith("U0") else "/g"
+            origin = f"{source.origin} (prior)" if source.prior else source.origin
+            cost = f"{uncertainty(float(u[j]) / size.size)} {size.unit}{per}"
+            shown.add_row(source.name.replace("_", " "), source.size, origin, cost, name)
+        return shown
+
+    def headline(self) -> str:
+        """Return a sentence on what was calibrated, and how."""
+        found = self.calibration
+        readings = f"{len(found.fitted)} readings"
+        if found.free is not None:
+            readings += f", {len(found.free)} by their modulus"
+        if found.skipped:
+            readings += f", {found.skipped} bad rows skipped"
+        return (
+            f"Calibration of {self.source.name}: {found.estimator}, model {found.model}, {readings}, "
+            f"local g = {found.g_m_s2:.6g} m/s²"
+        )
+
+    def _below(self) -> list[str]:
+        return [f"bench: {self.bench}", *(f"note: {note}" for note in self.notes)]
+
+    def __repr__(self) -> str:
+        """Return the result as a table with what a reader should know."""
+
+        def print_on(out: Console) -> None:
+            out.print(self.headline())
+            out.print(self.table())
+            for line in self._below():
+                out.print(line)
+
+        return as_text(print_on)
+
+    def _repr_html_(self) -> str:
+        return as_html([self.headline()], self.table()) + as_html(self._below())
+
+
+def coefficient_unit(name: str, unit: str) -> str:
+    """Return the unit of a coefficient for signals in `unit`."""
+    return unit if name.startswith("U0") else f"{unit}/g"
+
+
+def calibration_of(
+    source: Source,
+    estimator: str = GLS,
+    *,
+    nominal_angles: bool = False,
+    join_free: bool = True,
+    join_verification: bool = False,
+    prior: Path | None = None,
+) -> CalibrationResult:
+    """Calibrate a source with its own bench and model, and with a `prior` file of its unit's type.
+
+    Raises `CalibrationError` where it cannot be, `Refused` for a prior that is not of this unit's type.
+    """
+    source = _with_note_on_temperatures(source)
+    sheet = sheet_of(source.readings.unit, source.bench.unit_under_test.scale_factors.values)
+    refuse_mixed_units(source.readings, source.model, sheet)
+    found = estimate(
+        source.readings,
+        source.model,
+        source.stand_u,
+        source.g_m_s2,
+        estimator,
+        assumed_u={name: size.u for name, size in assumed_stand(source.bench).items()},
+        nominal_angles=nominal_angles,
+        join_free=join_free,
+        join_verification=join_verification,
+        known=source.known,
+    )
+    signed = sign(found, source.readings, source.bench, source.model, source.traced.day, source.known_meters)
+    if prior is None:
+        return CalibrationResult(source, signed)
+    return CalibrationResult(source, *with_prior(signed, source, prior))
+
+
+def _with_note_on_temperatures(source: Source) -> Source:
+    """Note where the readings are at several temperatures, of which one calibration makes a mixture."""
+    found = separate_temperatures(source.readings)
+    if len(found) < SEVERAL_TEMPERATURES:
+        return source
+    note = (
+        f"readings span {found[-1] - found[0]:.0f} K at {len(found)} temperatures, and these coefficients mix "
+        "them: see bench compensate"
+    )
+    return replace(source, readings=replace(source.readings, notes=(*source.readings.notes, note)))

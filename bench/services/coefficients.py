@@ -1,0 +1,331 @@
+"""Coefficients of another day, read back, and compared with one another."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from bench.base.arrays import CHANNELS, Floats
+from bench.base.atomic_files import from_text
+from bench.base.files import read_given
+from bench.base.visible import shortened
+from bench.exchange.result import BlockResult
+from bench.history.comparison import Snapshot
+from bench.model.block import COEFFICIENTS, Block
+from bench.readings.table import UNITS
+from bench.services.errors import Refused
+
+DEFAULT_K: Final = 2.0
+"""Coverage factor where a result states none."""
+
+LARGEST: Final = 1e12
+WORST: Final = 1e9
+"""Coefficients as large as that, or so far apart, are of no block: a calibration refuses them by itself."""
+
+ROUNDING: Final = 1_000_000 * 2.0**-53
+"""By how much a correlation of a million readings may be off by rounding."""
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """A block with its covariance (12, 12), the noise of a reading, the gravity that is its unit (m/s²).
+
+    `simulated` tells that they were found on simulated instruments. `same_meters` (12, 12) is the covariance
+    without what cancels where the same meters read the block, `meters` are their identities; results of older
+    days have neither. `block_terms` (12, q) is what K2 and K3 of the block, one u large, add, `wander` (3,) how far
+    its biases may wander during a run.
+    """
+
+    block: Block
+    covariance: Floats
+    noise: float
+    g_m_s2: float
+    unit: str
+    simulated: bool = False
+    same_meters: Floats | None = None
+    meters: tuple[str, ...] = ()
+    gravity_u: float = 0.0
+    made_at: str = ""
+    block_terms: Floats | None = None
+    wander: Floats | None = None
+
+
+def read_coefficients(path: Path, unit: str) -> Coefficients:
+    """Read a result of `calibrate --json`.
+
+    Raises `Refused` when the file is not one, holds what is no number, or has another unit than the
+    readings.
+    """
+    try:
+        data = from_text(read_given(path).decode())
+    except OSError as error:
+        raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    except ValueError as error:
+        raise Refused(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
+    taken = coefficients_of(data, str(path))
+    if taken.unit != unit:
+        raise Refused(f"{path}: coefficients in {taken.unit}/g, but the readings are in {unit}")
+    return taken
+
+
+def coefficients_of(data: Any, where: str) -> Coefficients:
+    """Take the coefficients out of a result of `calibrate --json`, whatever their unit.
+
+    Raises `Refused` that names `where` when it is not one, holds what is no number, or a covariance that none is.
+    """
+    try:
+        values = np.array([_number(data["coefficients"][name]["value"]) for name in COEFFICIENTS])
+        covariance = _covariance(data, "covariance")
+        meters = tuple(str(name) for name in data.get("meters", ()))
+        noise, g_m_s2 = _number(data["noise"]["reading_v"]), _number(data["g_m_s2"])
+        theirs, per, simulated = data["unit"], data.get("per", "g"), data.get("simulated", False)
+    except KeyError as error:
+        raise Refused(
+            f"{where}: not a result of 'bench calibrate --json': it has no {error}; give a file that "
+            "calibrate wrote"
+        ) from error
+    except (ValueError, TypeError, IndexError, AttributeError) as error:
+        raise Refused(f"{where}: not a result of 'bench calibrate --json' ({error})") from error
+    if not isinstance(theirs, str) or per != "g" or not isinstance(simulated, bool):
+        raise Refused(f"{where}: not a result of 'bench calibrate --json': see its unit, per and simulated")
+    if noise < 0 or g_m_s2 <= 0:
+        raise Refused(f"{where}: holds a negative noise or gravity; calibrate again")
+    _refuse_impossible(covariance, where)
+    same_meters = _further_covariance(data, "covariance_same_meters", where)
+    block = Block.from_vector(values)
+    return Coefficients(
+        block,
+        covariance,
+        noise,
+        g_m_s2,
+        theirs,
+        simulated,
+        same_meters,
+        meters,
+        _positive(data.get("gravity_u")),
+        _text(data.get("made_at")),
+        _block_terms(data, where),
+        _wander(data),
+    )
+
+
+def block_result(data: Any, where: str) -> BlockResult:
+    """Take all that is to be written out of a result of `calibrate --json`, of this version or one before.
+
+    Raises `Refused` that names `where` when it is not one.
+    """
+    taken = coefficients_of(data, where)
+    if taken.unit not in UNITS.values():
+        known = ", ".join(UNITS.values())
+        raise Refused(f"{where}: signals in {shortened(repr(taken.unit))}; a block gives one of {known}")
+    _refuse_without_inverse(taken.block, taken.covariance, where)
+    unit = data.get("unit_under_test")
+    block = unit if isinstance(unit, Mapping) else {}
+    bench = data.get("bench")
+    stated = {name: data["coefficients"][name] for name in COEFFICIENTS}
+    factors = [_positive(entry.get("k")) for entry in stated.values()]
+    expanded = {name: _positive(entry.get("U")) for name, entry in stated.items()}
+    return BlockResult(
+        block=taken.block,
+        covariance=taken.covariance,
+        unit=taken.unit,
+        g_m_s2=taken.g_m_s2,
+        source=_text(data.get("source")) or where,
+        block_type=_text(block.get("type")),
+        serial=_text(block.get("serial")),
+        made_at=_text(data.get("made_at")),
+        bench={str(name): _text(said) for name, said in bench.items()}
+        if isinstance(bench, Mapping)
+        else None,
+        simulated=taken.simulated,
+        k=max((factor for factor in factors if factor), default=DEFAULT_K),
+        expanded={name: size for name, size in expanded.items() if size},
+        covariance_readings=_further_covariance(data, "covariance_readings", where),
+        gravity_u=_positive(data.get("gravity_u")),
+        certificates=tuple(_certificates(data.get("corrections"))),
+    )
+
+
+def _certificates(corrections: Any) -> Iterator[str]:
+    """Yield each certificate that a result names, in words."""
+    for one in corrections if isinstance(corrections, list) else ():
+        if isinstance(one, Mapping) and _text(one.get("certificate")):
+            expired = ", EXPIRED" if one.get("expired") is True else ""
+            of = f"{_text(one.get('laboratory'))}, {_text(one.get('date'))}{expired}"
+            yield f"{_text(one.get('instrument'))} {one['certificate']} ({of})"
+
+
+def _text(value: object) -> str:
+    return value if isinstance(value, str) else ""
+
+
+def _positive(value: object) -> float:
+    """Return a number that a result states, 0 where it states none."""
+    try:
+        return max(_number(value), 0.0)
+    except ValueError:
+        return 0.0
+
+
+def _refuse_without_inverse(block: Block, covariance: Floats, where: str) -> None:
+    """Refuse a K that has no inverse, or one of numbers that no calibration gives. Raises `Refused`."""
+    largest = float(np.max(np.abs(block.vector)))
+    if not largest < LARGEST or np.max(covariance) > LARGEST**2:
+        raise Refused(f"{where}: holds numbers beyond {LARGEST:g}; take the file as calibrate wrote it")
+    scale = float(np.min(np.abs(np.diag(block.K))))
+    if scale <= largest / WORST or np.linalg.cond(block.K) > WORST:
+        raise Refused(
+            f"{where}: its K has no inverse that could be used; take the file as calibrate wrote it"
+        )
+
+
+def _further_covariance(data: Any, name: str, where: str) -> Floats | None:
+    """Take a further covariance (12, 12) out of a result that `coefficients_of` has read; None where it has none.
+
+    Raises `Refused` that names `where` when it holds what is no covariance.
+    """
+    if data.get(name) is None:
+        return None
+    try:
+        covariance = _covariance(data, name)
+    except (ValueError, TypeError, IndexError) as error:
+        raise Refused(f"{where}: not a result of 'bench calibrate --json': its {name}: {error}") from error
+    _refuse_impossible(covariance, where)
+    return covariance
+
+
+def _block_terms(data: Any, where: str) -> Floats | None:
+    """Return what K2 and K3 add (12, q); None where the result has no such part. Raises `Refused`."""
+    if data.get("block_terms") is None:
+        return None
+    try:
+        rows = _numbers(data["block_terms"])
+    except (ValueError, TypeError) as error:
+        raise Refused(
+            f"{where}: not a result of 'bench calibrate --json': its block_terms: {error}"
+        ) from error
+    if any(len(row) != len(COEFFICIENTS) for row in rows):
+        raise Refused(
+            f"{where}: not a result of 'bench calibrate --json': its block_terms have not 12 columns"
+        )
+    return np.array(rows).reshape(-1, len(COEFFICIENTS)).T
+
+
+def _wander(data: Any) -> Floats | None:
+    """Return how far the biases may wander during a run (3,); None where the result does not say."""
+    stated = data["noise"].get("wander")
+    return np.array([_positive(stated.get(c)) for c in CHANNELS]) if isinstance(stated, dict) else None
+
+
+def _covariance(data: Any, name: str) -> Floats:
+    """Return a covariance (12, 12) of a result in the order of `COEFFICIENTS`."""
+    order = [list(data["order"]).index(coefficient) for coefficient in COEFFICIENTS]
+    rows = _numbers(data[name])
+    size = len(COEFFICIENTS)
+    if [len(row) for row in rows] != [size] * size or len(data["order"]) != size:
+        raise ValueError(f"it has not {size} coefficients")
+    return np.array(rows)[np.ix_(order, order)]
+
+
+def _refuse_impossible(covariance: Floats, where: str) -> None:
+    problem = impossible(covariance)
+    if problem:
+        raise Refused(f"{where}: {problem}; no calibration gives that: take the file as calibrate wrote it")
+
+
+def _numbers(rows: Any) -> list[list[float]]:
+    """Return rows of JSON numbers; where all are floats they are looked at in one go. Raises `ValueError`."""
+    if all(type(row) is list and set(map(type, row)) == {float} for row in rows):
+        sums = [sum(row) for row in rows]  # of what is not finite no sum is
+        if all(map(math.isfinite, sums)):
+            return list(rows)
+    return [[_number(entry) for entry in row] for row in rows]
+
+
+def _number(value: Any) -> float:
+    """Return a JSON number. Raises `ValueError` for what is none: a text, true, one beyond all floats."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{shortened(repr(value))} is no number")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ValueError("it holds what is no number")
+    return number
+
+
+def impossible(covariance: Floats) -> str:
+    """Return why a matrix (n, n) of finite numbers is no covariance, empty where it may be one.
+
+    Symmetric, no variance negative, every |r| at most 1, no combination of negative variance, each within rounding:
+    a covariance is computed as a sum of m products b_ik b_jk (m readings and prior knowledge). Each entry is then
+    off by at most m u sqrt(c_ii c_jj), u = 2^-53 (Higham, Accuracy and Stability of Numerical Algorithms, 2002,
+    section 3.1, with the Cauchy-Schwarz inequality): a correlation by `ROUNDING`, an eigenvalue of the n
+    correlations by n times that (Weyl).
+    """
+    variance = np.diag(covariance)
+    if np.any(variance < 0):
+        return "the covariance has a negative variance"
+    u = np.sqrt(variance)
+    scale = np.where(u > 0, u, 1.0)
+    with np.errstate(over="ignore"):  # what is beyond all floats is found below
+        r = covariance / scale / scale[:, None]
+    if np.any(np.abs(r - r.T) > 2 * ROUNDING):
+        return "the covariance is not symmetric"
+    if np.any(np.abs(r) > np.where(np.outer(u, u) > 0, 1 + ROUNDING, 0.0)):
+        return "the covariance has a correlation beyond 1"
+    if np.linalg.eigvalsh(0.5 * (r + r.T)).min() < -len(r) * ROUNDING:
+        return "the covariance gives a combination of coefficients a negative variance"
+    return ""
+
+
+def snapshots_in(path: Path) -> list[Snapshot]:
+    """Return the calibrations in a result of `calibrate --json`. Raises `Refused` where it is none."""
+    try:
+        data = from_text(read_given(path).decode())
+    except OSError as error:
+        raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    except ValueError as error:
+        raise Refused(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
+    results = data if isinstance(data, list) else [data]
+    return [_from_result(result, path, k if len(results) > 1 else 0) for k, result in enumerate(results, 1)]
+
+
+def _from_result(data: Any, path: Path, number: int) -> Snapshot:
+    name = f"{path}, result {number}" if number else str(path)
+    found = coefficients_of(data, name)
+    block = data.get("unit_under_test")
+    if not isinstance(block, dict):
+        block = {}
+    return Snapshot(
+        name,
+        date_of(data.get("made_at"), name),
+        f"{block.get('type', '')} {block.get('serial', '')}".strip(),
+        found.unit,
+        found.g_m_s2,
+        found.block.vector,
+        found.covariance,
+        found.simulated,
+        found.same_meters,
+        found.meters,
+        found.block_terms,
+        found.wander,
+    )
+
+
+def date_of(text: str | None, where: str) -> datetime | None:
+    """Return a date as it is written (ISO 8601), in UTC where it names no zone. Raises `Refused`."""
+    if not text:
+        return None
+    try:
+        date = datetime.fromisoformat(text)
+    except (ValueError, TypeError):
+        raise Refused(f"{where}: expected a date such as 2026-01-31, got {text!r}") from None
+    return date if date.tzinfo else date.replace(tzinfo=UTC)

@@ -1,0 +1,127 @@
+"""New readings held against a model file that was found in others: is the effect confirmed, changed or gone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from bench.base.files import cache_folder
+from bench.base.numbers import without_infinity
+from bench.base.tables import as_text
+from bench.config.model_file import load_model
+from bench.diagnosis import ThresholdCache
+from bench.diagnosis.confirm import Confirmation, confirm
+from bench.diagnosis.free_positions import confirm_free
+from bench.diagnosis.free_result import OUTLIER, FreeDiagnosis
+from bench.diagnosis.mistakes.search import Mistake
+from bench.services.diagnosis import put_right
+from bench.services.errors import Refused
+from bench.services.free_diagnosis import free_sources
+from bench.services.own_effects import knowing_effects_of
+from bench.services.source import Source, data_sha256
+
+
+@dataclass(frozen=True)
+class ConfirmationResult:
+    """New readings without and with a model: one number, and what became of its effects.
+
+    `found` holds all that was found, `known` the mistakes that were put right before.
+    """
+
+    source: Source
+    found: Confirmation
+    known: tuple[Mistake, ...]
+
+    @property
+    def closed(self) -> float | None:
+        """The part of the gap that the model closes, (before - after)/(before - 1); None where there is none."""
+        return self.found.closed
+
+    @property
+    def verdict(self) -> str:
+        """One of confirmed, changed, gone."""
+        return self.found.verdict
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether every effect of the model that shows is in these readings as it was in the others."""
+        return self.found.verdict == "confirmed"
+
+    @property
+    def mistakes(self) -> tuple[Mistake, ...]:
+        """What was put right in a copy of the readings before they were held against the model."""
+        diagnosis = self.found.diagnosis
+        return (
+            self.known
+            if isinstance(diagnosis, FreeDiagnosis)
+            else (*self.known, *diagnosis.mistakes.mistakes)
+        )
+
+    @property
+    def notes(self) -> Iterator[str]:
+        """Yield what else there is to know of these readings."""
+        yield from (f"{one.name}: {one.words}; put right in a copy" for one in self.mistakes)
+        diagnosis = self.found.diagnosis
+        if isinstance(diagnosis, FreeDiagnosis):
+            yield from (f"{OUTLIER}: {words}" for words in diagnosis.apart)
+        yield from diagnosis.notes
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `bench confirm --json` writes it."""
+        whole = self.found.to_dict() | {
+            "model": str(self.source.request.model),
+            "source": self.source.name,
+            "bench": self.source.taken.to_dict(),
+            "corrections": self.source.traced.to_json(),
+            "simulated": self.source.simulated,
+            "notes": list(self.notes),
+        }
+        return {key: without_infinity(value) for key, value in whole.items()}
+
+    def print_on(self, out: Console) -> None:
+        """Print the effects as they were and are, and the number."""
+        from bench.results.diagnosis.terminal import print_confirmation
+
+        print_confirmation(self.source.name, self.found, list(self.notes), out)
+
+    def __repr__(self) -> str:
+        """Return what `bench confirm` prints, and which bench file was taken."""
+        return f"{as_text(self.print_on)}\nbench: {self.source.taken.words}"
+
+
+def confirmation_of(source: Source) -> ConfirmationResult:
+    """Hold a source against its model; thresholds are kept in the user's cache folder.
+
+    Raises `Refused` where it has no model, one without effects, or one that was found in these very readings;
+    `CalibrationError` where the readings do not determine the coefficients or could not show the effects.
+    """
+    path = source.request.model
+    if path is None:
+        raise Refused(
+            "say with --model FILE which model these readings are to confirm ('bench diagnose' writes it)"
+        )
+    if not source.model.effects:
+        raise Refused(f"--model {path}: it has no effects, so that there is nothing to confirm")
+    file = load_model(path, source.model.installations)
+    if data_sha256(source.as_read) in (file.data_sha256 or "").split():
+        raise Refused(
+            f"--model {path}: it was found in these very readings ({source.name}), which cannot confirm it; "
+            "take new ones"
+        )
+    if free_sources([source]):
+        with knowing_effects_of(source):
+            return ConfirmationResult(source, confirm_free([source.readings], source.model), ())
+    bench = source.bench
+    readings, known = put_right(source)
+    found = confirm(
+        readings,
+        source.model,
+        {name: spread.u for name, spread in bench.stand_distributions().items()},
+        np.array(bench.unit_under_test.scale_factors.values) if readings.unit == "V" else None,
+        ThresholdCache(cache_folder("thresholds")),
+    )
+    return ConfirmationResult(source, found, known)

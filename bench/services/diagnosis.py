@@ -1,0 +1,439 @@
+"""A diagnosis of one body of readings, early mistakes of the run put right first."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rich.console import Console
+
+from bench.base.arrays import Floats, Mask
+from bench.base.atomic_files import write_whole
+from bench.base.files import cache_folder
+from bench.base.tables import as_text
+from bench.base.visible import visible
+from bench.diagnosis.full import FullDiagnosis, TooLittleLeft, diagnose_fully
+from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.result import Diagnosis
+from bench.diagnosis.threshold import ThresholdCache
+from bench.readings.corrected import as_read
+from bench.readings.csv import format_csv
+from bench.readings.joined import JoinedPart, together
+from bench.readings.mistaken import MistakeName
+from bench.readings.table import Readings
+from bench.run.events import EventType
+from bench.run.folder import Run
+from bench.run.watch.causes import STOP_ALARM
+from bench.run.watch.early_warning import watcher_of
+from bench.run.watch.expectation import EarlySign
+from bench.run.watch.suppositions import CABLINGS, Kind
+from bench.services.bench_selection import SUFFIX
+from bench.services.errors import Refused
+from bench.services.own_effects import knowing_effects_of
+from bench.services.provenance import provenance
+from bench.services.source import Source, data_sha256
+
+SAT_IN: Final = re.compile(r"the block sits in installation (\S+), not in (\S+)")
+OF_ONE_READING: Final = frozenset({Kind.NOT_TURNED, Kind.NEXT_POINT, Kind.WRONG_WAY, Kind.SLIP})
+NAMES: Final = {Kind.ROTATION: MistakeName.REVERSED_ROTATION, Kind.ORIENTATION: MistakeName.OTHER_MOUNTING}
+LEAST_NAMED: Final = 2
+"""So many readings of a mounting name the installation in which the block sat, before all are moved there."""
+
+
+MOST_TOLD: Final = 3
+"""Causes that are told at the end of a run."""
+
+
+@dataclass(frozen=True)
+class _Named:
+    """A row of the table with the sign that it raised."""
+
+    row: int
+    sign: EarlySign
+
+
+def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
+    """Return the readings of a source with what the early warning named put right, and the mistakes.
+
+    They come back as they are where nothing was told while they were taken.
+    """
+    run, readings = source.run, source.readings
+    if run is None or run.imported or not run.history.progress.signs:
+        return readings, ()
+    named = _signs(source)
+    if not named or len(readings) != len(run.history.readings):
+        return readings, ()
+    copy = _Copy(readings)
+    by_mount: defaultdict[tuple[int, str], list[_Named]] = defaultdict(list)
+    for one in named:
+        by_mount[copy.mount(one.row)].append(one)
+    mistakes = []
+    for mount, told in by_mount.items():
+        mistakes += copy.mend(mount, told)
+    return copy.readings(), tuple(mistakes)
+
+
+def told_in_words(run: Run) -> list[str]:
+    """Return what the early warning told while a run was taken, and what a person went on with, in sentences."""
+    if not run.history.progress.signs:
+        return []
+    named: Counter[str] = Counter()
+    lines = []
+    for event in run.history.events:
+        if event.type == EventType.EARLY_SIGN:
+            named.update(event.data["causes"][:1])
+        elif event.type == EventType.WENT_ON:
+            lines.append(f"gone on in spite of '{' or '.join(event.data['causes'])}': {event.data['reason']}")
+    found = [
+        f"the early warning named '{cause}' at {times} reading{'s' if times > 1 else ''}"
+        for cause, times in named.most_common(MOST_TOLD)
+    ]
+    more = len(named) - len(found)
+    found += [f"… and {more} other causes"] if more > 0 else []
+    return [*found, *lines, f"'bench diagnose {run.name}' goes by what was named"] if found or lines else []
+
+
+def _signs(source: Source) -> list[_Named]:
+    """Go through the readings that stand again; return those that a mistake explains far beyond chance."""
+    assert source.run is not None  # noqa: S101
+    history = source.run.history
+    watcher = watcher_of(source.run.plan, source.bench)
+    bound = STOP_ALARM / max(len(history.readings), 1)
+    rows = {reading.place: row for row, reading in enumerate(history.readings.values())}
+    found: dict[int, EarlySign] = {}
+    for row, reading in enumerate(history.readings.values()):
+        for sign in watcher.take(reading):
+            sure = sign.p < bound and sign.kinds and set(sign.kinds) <= {*Kind} - _MAY_BE_EFFECTS
+            if sign.confident and sign.wrong is not None:
+                found[rows.get(sign.wrong, row)] = sign
+            elif sure and sign.at_fault is None:
+                found[row] = sign
+    return [_Named(row, sign) for row, sign in sorted(found.items())]
+
+
+_MAY_BE_EFFECTS: Final = frozenset({Kind.MOVED, Kind.TILTED, Kind.CHANNEL, Kind.EARLIER})
+
+
+class _Copy:
+    """A table of readings in which mistakes are put right."""
+
+    def __init__(self, readings: Readings) -> None:
+        self._given = readings
+        self._signal, self._sd = readings.signal.copy(), readings.signal_sd.copy()
+        self._label = readings.installation.astype(object)
+        self._series = readings.series.copy()
+        self._kept = np.ones(len(readings), dtype=bool)
+        self._skipped: list[str] = []
+
+    def mount(self, row: int) -> tuple[int, str]:
+        """Return the mounting of a row as it was recorded: series and installation."""
+        return int(self._given.series[row]), str(self._given.installation[row])
+
+    def readings(self) -> Readings:
+        """Return the table put right."""
+        changed = replace(
+            self._given,
+            signal=self._signal,
+            signal_sd=self._sd,
+            installation=self._label.astype(np.str_),
+            series=self._series,
+            skipped=(*self._given.skipped, *self._skipped),
+        )
+        return changed.select(self._kept)
+
+    def mend(self, mount: tuple[int, str], told: Sequence[_Named]) -> list[Mistake]:
+        """Put right what was told of the readings of a mounting; return the mistakes."""
+        sat = Counter(match[1] for one in told if (match := _sat_in(one.sign)) is not None)
+        if sat and sat.most_common(1)[0][1] >= LEAST_NAMED:
+            return [self._move(mount, sat.most_common(1)[0][0], told)]
+        cabled = Counter(one.sign.causes[0] for one in told if _cabling(one.sign) is not None)
+        mistakes = []
+        for cause in (cause for cause, times in cabled.items() if times >= LEAST_NAMED):
+            mistakes.append(self._rewire(mount, cause, [one for one in told if one.sign.causes[0] == cause]))
+        done = {cause for cause, times in cabled.items() if times >= LEAST_NAMED}
+        left = [one for one in told if one.sign.causes[0] not in done]
+        return [*mistakes, *(self._leave_out(mount, one) for one in left)]
+
+    def _move(self, mount: tuple[int, str], actual: str, told: Sequence[_Named]) -> Mistake:
+        """Move the rows of a mounting to where the block sat: into the mounting before, if it is the same."""
+        rows = self._rows(mount)
+        first = int(np.flatnonzero(rows)[0])
+        before = self.mount(first - 1) if first else (0, "")
+        highest = int(self._given.series.max())
+        self._label[rows] = actual
+        self._series[rows] = before[0] if before[1] == actual else highest + 1
+        words = (
+            f"the block sat in installation {actual}, not in {mount[1]}, in its {int(rows.sum())} readings from "
+            f"pass {self._given.pass_number[first]}, point {self._given.point[first]} on; the copy says so"
+        )
+        p = min(one.sign.p for one in told)
+        return _mistake(MistakeName.SWAPPED_INSTALLATIONS, (), mount[1], None, None, words, p)
+
+    def _rewire(self, mount: tuple[int, str], cause: str, told: Sequence[_Named]) -> Mistake:
+        """Put the signals back between the first and the last reading that shows the cables."""
+        rows = self._rows(mount)
+        rows[: told[0].row] = False
+        rows[told[-1].row + 1 :] = False
+        matrix = CABLINGS[cause]
+        self._signal[rows] = self._signal[rows] @ matrix.T
+        self._sd[rows] = self._sd[rows] @ np.abs(matrix).T
+        channels = told[0].sign.channels
+        name = MistakeName.REVERSED_POLARITY if "reversed" in cause else MistakeName.SWAPPED_CHANNELS
+        words = (
+            f"{cause} in installation {mount[1]} from pass {self._given.pass_number[told[0].row]}, point "
+            f"{self._given.point[told[0].row]} on ({int(rows.sum())} readings); the copy has their signals put back"
+        )
+        return _mistake(name, channels, mount[1], None, None, words, min(one.sign.p for one in told))
+
+    def _leave_out(self, mount: tuple[int, str], one: _Named) -> Mistake:
+        self._kept[one.row] = False
+        number, point = int(self._given.pass_number[one.row]), int(self._given.point[one.row])
+        where = f"installation {mount[1]}, pass {number}, point {point}"
+        self._skipped.append(f"{where}: {' or '.join(one.sign.causes[:1])}")
+        words = f"{where}: {' or '.join(one.sign.causes)}; the copy leaves the reading out"
+        kind = Kind(one.sign.kinds[0])
+        name = NAMES.get(kind, MistakeName.WRONG_SETTING if kind in OF_ONE_READING else MistakeName.OUTLIER)
+        return _mistake(name, one.sign.channels, mount[1], number, point, words, one.sign.p)
+
+    def _rows(self, mount: tuple[int, str]) -> Mask:
+        return np.asarray((self._given.series == mount[0]) & (self._given.installation == mount[1]))
+
+
+def _sat_in(sign: EarlySign) -> re.Match[str] | None:
+    return SAT_IN.fullmatch(sign.causes[0]) if sign.kinds[0] == Kind.INSTALLATION else None
+
+
+def _cabling(sign: EarlySign) -> str | None:
+    return sign.causes[0] if sign.causes[0] in CABLINGS else None
+
+
+def _mistake(
+    name: MistakeName,
+    channels: tuple[str, ...],
+    installation: str,
+    pass_number: int | None,
+    point: int | None,
+    words: str,
+    p: float,
+) -> Mistake:
+    told = f"{words} (as the early warning named it)"
+    return Mistake(name, channels, (installation,), pass_number, point, told, p, ())
+
+
+TOGETHER: Final = "diagnose-together"
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body of readings with the hashes of what it is made of, and the name of what is written for it.
+
+    `nominal` (blocks, 3) are the scale factors of the data sheets where blocks of several kinds are in it. Of
+    several sources `place` is the one beside which it is written.
+    """
+
+    source: Source
+    sha256: tuple[str, ...]
+    command: str = "diagnose"
+    nominal: Floats | None = None
+    place: Source | None = None
+
+    def output(self, suffix: str) -> Path:
+        """Return the file that is written for it."""
+        return (self.place or self.source).output(self.command, suffix)
+
+    def copy_files(self, mistakes: Sequence[Mistake], corrected: Readings) -> dict[Path, str]:
+        """Return the readings file of the copy with mistakes put right, and the one that tells where it comes from.
+
+        It reads, with the same bench file, to the very readings that were searched. Nothing where there was no
+        mistake.
+        """
+        if not mistakes:
+            return {}
+        path = self.output("-corrected.csv")
+        text = format_csv(as_read(corrected, self.source.traced.by))
+        files = {path: text}
+        if self.source.origin is not None and len(self.sha256) == 1:
+            mended = tuple(visible(mistake.words) for mistake in mistakes)
+            origin = self.source.origin.model_copy(update={"mended": (*self.source.origin.mended, *mended)})
+            files[path.with_name(path.name + SUFFIX)] = origin.text_beside(path, text.encode())
+        return files
+
+    def sha256_with_copy(self, full: FullDiagnosis) -> tuple[str, ...]:
+        """Return the hashes of what was searched: the body's, and that of the copy with mistakes put right."""
+        copy = as_read(full.diagnosis.mistakes.corrected, self.source.traced.by)
+        return self.sha256 if not full.diagnosis.mistakes.mistakes else (*self.sha256, data_sha256(copy))
+
+
+@dataclass(frozen=True)
+class DiagnosisResult:
+    """Where readings and model disagree, what is missing, and how far the gap closes with it.
+
+    `full` holds all that was found, `source` the readings, the bench and the model.
+    """
+
+    source: Source
+    full: FullDiagnosis
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """The verdict with what speaks for it: places, effects, mistakes, the gap."""
+        return self.full.diagnosis
+
+    @property
+    def verdict(self) -> str:
+        """One of agrees, mistake, named, confounded, unknown."""
+        return self.diagnosis.verdict
+
+    @property
+    def bench(self) -> str:
+        """Which bench file gave the errors of the stand and gravity; and why that one."""
+        return self.source.taken.words
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `bench diagnose --json` writes it; no file was written, so it names none."""
+        return self.full.to_dict()
+
+    def report(self, path: str | Path) -> None:
+        """Write the page (HTML, with everything in it). Raises `OSError`."""
+        write_whole(Path(path), diagnosis_page(self.source, self.full))
+
+    def print_on(self, out: Console) -> None:
+        """Print the diagnosis in the order in which it was made."""
+        from bench.results.diagnosis.terminal import print_one
+
+        with knowing_effects_of(self.source):
+            print_one(self.full, out)
+
+    def __repr__(self) -> str:
+        """Return what `bench diagnose` prints, and which bench file was taken."""
+        return f"{as_text(self.print_on)}\nbench: {self.bench}"
+
+
+def body_of(sources: list[Source], *, one_block: bool | None = None) -> Body:
+    """Return the sources as one body of data: of `one_block`, or of a block each.
+
+    Where nobody says (None), the names of the blocks tell, and where those do not, the readings will. Raises
+    `Refused` where they are not of one bench.
+    """
+    hashes = tuple(data_sha256(source.as_read) for source in sources)
+    first = sources[0]
+    if len(sources) == 1:
+        return Body(first, hashes)
+    for source in sources[1:]:
+        _require_same_bench(first, source)
+    try:
+        blocks = _blocks(sources, one_block)
+        readings = together(
+            [JoinedPart(s.readings, _began_s(s), block) for s, block in zip(sources, blocks, strict=True)]
+        )
+    except ValueError as problem:
+        raise Refused(f"--together: {problem}") from problem
+    # a model that was found in any of the sources has seen a part of the whole
+    model = next((s.model for s in sources if not any(a.u for a in s.model.effects)), first.model)
+    name = " + ".join(source.name for source in sources)
+    entries = tuple(entry for source in sources for entry in source.traced.entries)
+    own = tuple(dict.fromkeys(effect for source in sources for effect in source.effects))
+    traced = replace(first.traced, entries=entries)
+    whole = replace(first, readings=readings, model=model, name=name, traced=traced, effects=own)
+    nominal = None
+    if blocks[0] is not None:
+        kinds = {n: s for n, s in zip(blocks, sources, strict=True) if n is not None}
+        nominal = np.array([kinds[n].bench.unit_under_test.scale_factors.values for n in sorted(kinds)])
+    return Body(whole, hashes, TOGETHER, nominal, place_together(sources))
+
+
+def place_together(sources: Sequence[Source]) -> Source:
+    """Return the first of several sources, by a name under which what is written of all of them stands."""
+    first = sources[0]
+    if len(sources) == 1:
+        return first
+    stem = Path(first.name).stem
+    others = Path(sources[1].name).stem if len(sources) == 2 else f"{len(sources) - 1}-more"
+    return replace(first, name=str(Path(first.name).parent / f"{stem}+{others}.csv"))
+
+
+def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
+    """Return the number of the block of each source; None for all where only the readings can tell."""
+    if one_block is not None:
+        return [0 if one_block else number for number in range(len(sources))]
+    sheets = [tuple(source.bench.unit_under_test.scale_factors.values) for source in sources]
+    names = [source.block_name for source in sources]
+    told = list(zip(names, sheets, strict=True)) if all(names) else [("", sheet) for sheet in sheets]
+    kinds = list(dict.fromkeys(told))
+    return [kinds.index(one) for one in told] if len(kinds) > 1 else [None] * len(sources)
+
+
+def _of_the_stand(source: Source) -> dict[str, float]:
+    """Return the limits of the stand, in rad, without the noise in the unit of the signals."""
+    return {name: u for name, u in source.stand_u.items() if name != "voltmeter_error"}
+
+
+def _require_same_bench(first: Source, other: Source) -> None:
+    one, two = first.model.installations, other.model.installations
+    same = {
+        "local gravity": first.g_m_s2 == other.g_m_s2,
+        "limits of the stand": _of_the_stand(first) == _of_the_stand(other),
+        "installations": one.keys() == two.keys()
+        and all(np.allclose(one[name].block_from_platform, two[name].block_from_platform) for name in one),
+    }
+    different = [what for what, agrees in same.items() if not agrees]
+    if different:
+        raise Refused(
+            f"--together: {other.name} has another bench than {first.name} ({', '.join(different)}); say with "
+            "--bench FILE which one holds for both"
+        )
+
+
+def _began_s(source: Source) -> float | None:
+    """Return when the clock of a run began, s; None for a readings file, which does not say."""
+    if source.run is None or source.run.imported:
+        return None
+    try:
+        return datetime.fromisoformat(source.run.created).timestamp()
+    except ValueError:
+        return None
+
+
+def diagnosis_of(source: Source, nominal: Floats | None = None) -> FullDiagnosis:
+    """Diagnose a source with its own bench and model; thresholds are kept in the user's cache folder.
+
+    `nominal` (blocks, 3) are the scale factors of several blocks, by default those of the bench file.
+
+    What the early warning named while a run was taken is put right first. Raises `CalibrationError` where the
+    readings do not determine the coefficients, `TooLittleLeft` where they would not without their mistakes.
+    """
+    readings, known = put_right(source)
+    taken = source.taken.to_dict()
+    try:
+        with knowing_effects_of(source):
+            full = diagnose_fully(
+                readings,
+                source.model,
+                source.bench,
+                source.g_m_s2,
+                ThresholdCache(cache_folder("thresholds")),
+                source=source.name,
+                simulated=source.simulated,
+                known=known,
+                stated=source.taken.stated,
+                nominal=nominal,
+            )
+    except TooLittleLeft as found:
+        found.bench, found.corrections = taken, source.traced.to_json()
+        raise
+    return replace(full, bench=taken, corrections=source.traced.to_json())
+
+
+def diagnosis_page(source: Source, full: FullDiagnosis) -> str:
+    """Return the page of a diagnosis (HTML)."""
+    from bench.results.diagnosis.page import render_diagnosis
+
+    title = f"Diagnosis of {source.block_name or source.name}"
+    with knowing_effects_of(source):
+        return render_diagnosis(full, title, source.bench.verification_limit_g, provenance(source))

@@ -1,0 +1,298 @@
+"""What `import bench` offers: each function takes what a person has at hand, and says what it took.
+
+Nothing is printed, and nothing is written unless it is asked for (the thresholds of a diagnosis stay in the user's
+cache folder). What cannot be done raises `Refused`, `ReadingsError`, `FileMistakes`, `RecordError` or
+`CalibrationError`; each text says why and what to do.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import date
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from bench.calibration.estimators import GLS
+from bench.config.bench_file.file import BenchFile
+from bench.readings.csv import read_csv, read_frame
+from bench.readings.table import Readings
+from bench.services.arguments import DIAGNOSED, checked
+from bench.services.bench_selection import bench_of, find_bench_file, origin_beside
+from bench.services.calibration import CalibrationResult, calibration_of
+from bench.services.confirmation import ConfirmationResult, confirmation_of
+from bench.services.diagnosis import DiagnosisResult, body_of, diagnosis_of
+from bench.services.free_diagnosis import FreeDiagnosisResult, free_diagnosis_of, free_sources
+from bench.services.learning import LearningResult, learning_of
+from bench.services.own_effects import knowing_effects_in
+from bench.services.source import Request, Source, load_sources
+from bench.services.verification import Asked, VerificationResult, verification_of
+
+if TYPE_CHECKING:
+    from typing import TypeAlias
+
+    import pandas as pd
+
+    from bench.run.folder import Run
+
+    Data: TypeAlias = str | Path | Readings | pd.DataFrame
+    """A readings file by path, a run by name or path, or a table in memory."""
+    Bench: TypeAlias = str | Path | BenchFile | None
+    """A bench file by path or name, or one at hand; None as the commands take it."""
+    Effects: TypeAlias = str | Path | Sequence[str | Path] | None
+    """Files with effects of the user's own, as formulas."""
+
+
+@checked()
+def load_bench(bench: str | Path) -> BenchFile:
+    """Read a bench file, by path or shipped name; numbers in SI, angles in rad. Raises `FileMistakes`."""
+    return find_bench_file(str(bench)).file
+
+
+@checked()
+def read_readings(
+    readings: str | Path | pd.DataFrame, *, bench: Bench = None, skip_bad_rows: bool = False
+) -> Readings:
+    """Read a readings file, or a pandas DataFrame with the same columns (`angle_deg`, `ux_v`, …).
+
+    The bench file says which installations there are. Raises `ReadingsError` with every bad row, unless those are
+    to be skipped: `Readings.skipped` lists them then.
+    """
+    given = str(bench) if isinstance(bench, Path) else bench
+    if isinstance(readings, str | Path):
+        path = Path(readings)
+        taken, _ = bench_of(str(path), None, origin_beside(path), given)
+        return read_csv(path, taken.file.installation_models(), skip_bad_rows=skip_bad_rows)
+    return read_frame(
+        readings, find_bench_file(given).file.installation_models(), skip_bad_rows=skip_bad_rows
+    )
+
+
+@checked()
+def calibrate(
+    source: Data,
+    *,
+    bench: Bench = None,
+    model: str | Path | None = None,
+    effects: Effects = None,
+    g: float | None = None,
+    estimator: str = GLS,
+    nominal_angles: bool = False,
+    join_free: bool = True,
+    join_verification: bool = False,
+    skip_bad_rows: bool = False,
+    runs: str | Path | None = None,
+) -> CalibrationResult:
+    """Return the twelve coefficients of U = K a + U0 with their uncertainty, as `bench calibrate` finds them.
+
+    `bench` gives the errors of the stand and local gravity; without it a run is evaluated with the bench file that
+    it recorded, all else with that of BENCH_FILE, a readings file with the one that the file beside it names
+    (`bench export` writes it), or the shipped paper-stand; `result.bench` says which. `g` is
+    local gravity in m/s² in place of the bench file's, `model` a model file with effects beside the paper's terms,
+    `effects` files with formulas of effects of the user's own,
+    `runs` the folder of runs (BENCH_RUNS, or ./runs). `join_free` lets free positions (F) join by |a| = 1 g,
+    `join_verification` the verification points, `nominal_angles` takes the target angles.
+    """
+    with knowing_effects_in(effects):
+        (loaded,) = _loaded([source], bench, model, g, runs, skip_bad_rows=skip_bad_rows)
+        return calibration_of(
+            loaded,
+            estimator,
+            nominal_angles=nominal_angles,
+            join_free=join_free,
+            join_verification=join_verification,
+        )
+
+
+@checked()
+def verify(
+    source: Data,
+    *,
+    coefficients: str | Path | CalibrationResult | None = None,
+    limit: float | None = None,
+    rule: str | None = None,
+    guard_band: float | None = None,
+    population: tuple[float, float] | None = None,
+    bench: Bench = None,
+    model: str | Path | None = None,
+    effects: Effects = None,
+    g: float | None = None,
+    skip_bad_rows: bool = False,
+    runs: str | Path | None = None,
+) -> VerificationResult:
+    """Return Δg (in g) at the verification points against the limit (g), as `bench verify` finds it.
+
+    `coefficients` are those of another day: a result, or a file of `bench calibrate --json`; without them those of
+    the same readings. `rule` is "simple" (|Δg| within the limit), "guarded" (|Δg| + w, where w is U or
+    `guard_band` times U) or "non-binary"; `population` the mean and the standard deviation of Δg over many blocks,
+    g, which enter the risks. What is not given of these is the bench file's; a rule that nobody states is the
+    non-binary one with 5 % of false acceptance at most. Else as in `calibrate`.
+    """
+    asked = Asked(limit, rule, guard_band, population)
+    asked.check()
+    taken = Path(coefficients) if isinstance(coefficients, str) else coefficients
+    with knowing_effects_in(effects):
+        (loaded,) = _loaded([source], bench, model, g, runs, skip_bad_rows=skip_bad_rows)
+        return verification_of(loaded, taken, asked)
+
+
+@checked(source=DIAGNOSED)
+def diagnose(
+    source: Data | Sequence[Data],
+    *,
+    bench: Bench = None,
+    model: str | Path | None = None,
+    effects: Effects = None,
+    g: float | None = None,
+    skip_bad_rows: bool = False,
+    runs: str | Path | None = None,
+    one_block: bool | None = None,
+) -> DiagnosisResult | FreeDiagnosisResult:
+    """Return where readings and model disagree and what is missing, as `bench diagnose` finds it.
+
+    A list of sources is one body of readings, on one bench: of `one_block`, or of a block each; where nobody says
+    (None), names and readings tell. Of free positions alone the result is a `FreeDiagnosisResult`. All else as in
+    `calibrate`.
+    """
+    sources = list(source) if isinstance(source, list | tuple) else [source]
+    with knowing_effects_in(effects):
+        loaded = _loaded(sources, bench, model, g, runs, skip_bad_rows=skip_bad_rows)
+        if free_sources(loaded):
+            return free_diagnosis_of(loaded, one_block=one_block)
+        body = body_of(loaded, one_block=one_block)
+        return DiagnosisResult(body.source, diagnosis_of(body.source, body.nominal))
+
+
+@checked()
+def confirm(
+    source: Data,
+    *,
+    model: str | Path,
+    bench: Bench = None,
+    g: float | None = None,
+    skip_bad_rows: bool = False,
+    runs: str | Path | None = None,
+) -> ConfirmationResult:
+    """Return whether new readings confirm a model file that was found in others, as `bench confirm` finds it.
+
+    All else as in `calibrate`.
+    """
+    (loaded,) = _loaded([source], bench, model, g, runs, skip_bad_rows=skip_bad_rows)
+    return confirmation_of(loaded)
+
+
+@checked()
+def learn(
+    sources: Sequence[Data],
+    *,
+    bench: Bench = None,
+    model: str | Path | None = None,
+    by_installation: bool = False,
+    expires: date | None = None,
+    skip_bad_rows: bool = False,
+    runs: str | Path | None = None,
+) -> LearningResult:
+    """Return what the runs of one bench tell of it, as `bench learn` finds it; `write` makes the learned file.
+
+    `model` is a model file with effects of the bench, found in many runs together, which become the bench's;
+    `by_installation` gives each installation mean angles of its own; the file counts until `expires` (a year, where
+    nobody says). Else as in `calibrate`.
+    """
+    loaded = _loaded(list(sources), bench, model, None, runs, skip_bad_rows=skip_bad_rows)
+    return learning_of(loaded, by_installation=by_installation, expires=expires)
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """A run on simulated instruments that is done; its record lives as long as this object, unless it has a place.
+
+    `run` is its record, `source` the readings with the bench.
+    """
+
+    run: Run
+    source: Source
+    _folder: object = field(repr=False)
+
+    @property
+    def readings(self) -> Readings:
+        """The readings, in the order of measurement."""
+        return self.source.readings
+
+    @cached_property
+    def calibration(self) -> CalibrationResult:
+        """The coefficients of these readings. Raises `CalibrationError` where they do not give them."""
+        return calibration_of(self.source)
+
+    @cached_property
+    def verification(self) -> VerificationResult | None:
+        """Δg at the verification points; None where the procedure has none."""
+        return verification_of(self.source, self.calibration) if len(self.readings.verification()) else None
+
+    def __repr__(self) -> str:
+        """Return what was run, and the result."""
+        lines = [f"Dry run {self.run.name}: {len(self.readings)} readings, bench {self.source.taken.words}"]
+        if self.verification is not None:
+            lines.append(self.verification.verdict())
+        return "\n".join(lines)
+
+
+@checked()
+def dry_run(
+    procedure: str | Path,
+    bench: str | Path | None = None,
+    *,
+    seed: int = 1,
+    model: str | Path | None = None,
+    name: str | None = None,
+    runs: str | Path | None = None,
+) -> DryRun:
+    """Run a procedure on simulated instruments over the same drivers and wire, with a virtual clock.
+
+    `seed` gives the random numbers, `model` a model file with effects that the simulated bench has. The record is
+    kept in the folder `runs` if one is given. Raises `Refused` with all that speaks against the procedure.
+    """
+    from bench.run.folder import Run
+    from bench.services.execution import carry_out, new_run
+
+    folder = None if runs is not None else tempfile.TemporaryDirectory(prefix="bench-dry-run-")
+    place = Path(folder.name if folder else str(runs))
+    new = new_run(
+        str(procedure),
+        None if bench is None else str(bench),
+        place,
+        dry_run=True,
+        seed=seed,
+        name=name,
+        model=None if model is None else Path(model),
+    )
+    carry_out(Run(new.folder), new.record(), None, None, Console(file=io.StringIO(), quiet=True))
+    (source,) = load_sources(Request([str(new.folder)], place))
+    return DryRun(Run(new.folder), source, folder)
+
+
+def _loaded(
+    sources: Sequence[Any],
+    bench: Bench,
+    model: str | Path | None,
+    g: float | None,
+    runs: str | Path | None,
+    *,
+    skip_bad_rows: bool,
+) -> list[Source]:
+    return load_sources(
+        Request(
+            [str(source) if isinstance(source, Path) else source for source in sources],
+            Path(runs or os.environ.get("BENCH_RUNS") or "runs"),
+            str(bench) if isinstance(bench, Path) else bench,
+            None if model is None else Path(model),
+            g,
+            None,
+            skip_bad_rows,
+        )
+    )

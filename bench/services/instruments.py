@@ -1,0 +1,360 @@
+"""Instruments of a bench opened at once and identified; a commissioning session."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final, Protocol, runtime_checkable
+
+from bench.base.arrays import ARCSEC
+from bench.base.atomic_files import to_text, write_whole
+from bench.base.numbers import without_infinity
+from bench.config.bench_file.file import BenchFile
+from bench.config.devices.sections import ChamberForm, HeadForm, SupplyForm
+from bench.results.commissioning import render_commissioning
+from bench.run.assembly.commissioned import dry_evening, real_evening
+from bench.run.assembly.served import real_bench
+from bench.run.commission.course import go_through
+from bench.run.commission.session import Ended, Evening, status_of
+from bench.run.interruptions import Interrupts
+from bench.run.way_out import leave_safe
+from bench.run.workbench import QUICK_NPLC
+from bench.services.errors import Refused
+from bench.services.provenance import versions
+from bench.services.simulated_truth import simulated_truth
+from drivers.angles import format_dms
+from drivers.clock import Clock, utc_now
+from drivers.interfaces.errors import BenchError, InstrumentLost, NoAnswer
+from drivers.interfaces.instruments import (
+    Identity,
+    Instrument,
+    Level,
+    SelfTesting,
+    ThermalChamber,
+    Thermometer,
+    Voltmeter,
+    VoltmeterSettings,
+)
+from drivers.interfaces.person import Answer, Person, Prompt
+from drivers.interfaces.supply import PowerSupply
+from drivers.making_safe import let_go
+from drivers.wire.causes import Haste
+from drivers.wire.log import WireLog, logged_wire
+
+_LONGEST_S: Final = 180.0
+"""Every driver gives up by its own timeouts; one that does not is told of after this time."""
+
+_BY_HAND: Final = "manual"
+_NO_TEST: Final = "none"
+_PASSED: Final = "passed"
+
+
+@runtime_checkable
+class _HasScale(Protocol):
+    """A head that can be asked where it stands without being moved."""
+
+    def position_rad(self) -> float:
+        """Return the angle read back."""
+        ...
+
+
+class _Nobody:
+    """A `Person` who is not asked: manual instruments are left alone."""
+
+    def ask(self, prompt: Prompt) -> Answer:
+        """Raise `NoAnswer`."""
+        raise NoAnswer("operator", "nobody is asked here", "carry out a run to be asked")
+
+
+@dataclass
+class InstrumentLook:
+    """What is known of one instrument; `failure` is the first thing that went wrong with it.
+
+    `samples` is how many a voltmeter is asked for, `to_do` what a person must do where it was not left safe.
+    """
+
+    name: str
+    address: str
+    settings: str
+    identity: Identity | None = None
+    self_test: str = ""
+    shows: str = ""
+    value: dict[str, float] | float | None = None
+    failure: BenchError | None = None
+    samples: int = 1
+    to_do: str = ""
+
+    @property
+    def test_failed(self) -> bool:
+        """Whether the self-test found something."""
+        return self.self_test not in ("", _NO_TEST, _BY_HAND, _PASSED)
+
+    @property
+    def failures(self) -> list[BenchError]:
+        """All that is wrong, the self-test included."""
+        found = [self.failure] if self.failure is not None else []
+        if self.test_failed:
+            remedy = "take the cables off its input and test again; if it fails again, have it serviced"
+            found.append(BenchError(self.name, f"its self-test failed: {self.self_test}", remedy))
+        if self.to_do:
+            found.append(BenchError(self.name, "it was not left safe", self.to_do))
+        return found
+
+    @property
+    def absent(self) -> bool:
+        """Whether it could not be opened, or was lost while it was looked at."""
+        return self.failure is not None and (
+            self.identity is None or isinstance(self.failure, InstrumentLost)
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the row as JSON values; `value` in V by channel or output, rad, or °C."""
+        return {
+            "name": self.name,
+            "address": self.address,
+            "identity": None if self.identity is None else asdict(self.identity),
+            "settings": self.settings,
+            "self_test": self.self_test,
+            "value": self.value,
+            "shows": self.shows,
+            "failures": [{"cause": f.cause, "remedy": f.remedy} for f in self.failures],
+        }
+
+
+def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -> list[InstrumentLook]:
+    """Open, test, read and close every instrument of a bench at once; what goes wrong stands in its row.
+
+    In `haste` those that do not answer are waited for no longer.
+    """
+    assembly = real_bench(file, _Nobody(), wire, haste)
+    instruments = assembly.instruments.all()
+    rows = [_row(file, instrument) for instrument in instruments]
+    _look_at_all(instruments, rows, file.voltmeter_range_v, assembly.clock)
+    return rows
+
+
+def _row(file: BenchFile, instrument: Instrument) -> InstrumentLook:
+    """Return the row of an instrument with what the bench file says of it."""
+    section = next(section for section in file.instruments.all() if section.name == instrument.name)
+    address = getattr(section, "resource", None)
+    settings = ""
+    if isinstance(section, HeadForm):
+        settings = f"within {format_dms(section.tolerance)}"
+    elif isinstance(section, ChamberForm):
+        settings = f"{section.minimum:g} to {section.maximum:g} °C"
+    elif isinstance(section, SupplyForm) and section.limits is not None:
+        settings = f"outputs {', '.join(section.limits.outputs)}"
+    where = "by hand" if address is None else str(address)
+    return InstrumentLook(instrument.name, where, settings, samples=file.least_samples)
+
+
+# --- looking ----------------------------------------------------------------------------------------
+
+
+def _look_at_all(
+    instruments: Sequence[Instrument], rows: Sequence[InstrumentLook], range_v: float, clock: Clock
+) -> None:
+    """Look at every instrument in a thread of its own, so that none waits for another."""
+    threads = [
+        threading.Thread(target=_look_at, args=(instrument, row, range_v), name=row.name, daemon=True)
+        for instrument, row in zip(instruments, rows, strict=True)
+    ]
+    deadline_s = clock.now_s() + _LONGEST_S
+    for thread in threads:
+        thread.start()
+    try:
+        try:
+            for thread, row in zip(threads, rows, strict=True):
+                thread.join(max(0.0, deadline_s - clock.now_s()))
+                if thread.is_alive():
+                    row.failure = InstrumentLost(
+                        row.name, f"did not come to an end within {_LONGEST_S:g} s", "switch it off and on"
+                    )
+        finally:
+            for thread, instrument, row in zip(threads, instruments, rows, strict=True):
+                if thread.is_alive():
+                    row.to_do = let_go(instrument)
+    except KeyboardInterrupt:
+        if to_do := [f"{row.name} {row.to_do}" for row in rows if row.to_do]:
+            raise BenchError(
+                "instruments", "stopped, and not everything was left safe", "; ".join(to_do)
+            ) from None
+        raise
+
+
+def _look_at(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
+    """Open, test, read and close one instrument; whatever goes wrong stands in its row."""
+    try:
+        row.identity = instrument.open()
+        if row.identity.maker == _BY_HAND:
+            row.self_test = row.shows = _BY_HAND
+            return
+        row.self_test = _NO_TEST
+        if isinstance(instrument, SelfTesting):
+            row.self_test = ""
+            row.self_test = instrument.self_test() or _PASSED
+        _read(instrument, row, range_v)
+    except BenchError as error:
+        row.failure = error
+    except Exception as error:  # one driver's mistake must not hide what the others show
+        cause = f"the driver failed with {type(error).__name__} ({error})"
+        row.failure = BenchError(row.name, cause, "repeat it with --wire-log FILE and report what that shows")
+    finally:
+        row.to_do = let_go(instrument)
+
+
+def _read(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
+    """Take one reading: a voltmeter's, the position of a head, a temperature, volts of a supply, a level's."""
+    if isinstance(instrument, Voltmeter):
+        instrument.configure(VoltmeterSettings(range_v, QUICK_NPLC, row.samples))
+        row.settings = f"{range_v:g} V, {QUICK_NPLC:g} NPLC"
+        instrument.start()
+        row.value = {channel: samples[0] for channel, samples in instrument.fetch().items()}
+        row.shows = ", ".join(f"{channel} {value:+.6f} V" for channel, value in row.value.items())
+    elif isinstance(instrument, ThermalChamber):
+        row.value = instrument.temperature("instruments")
+        row.shows = f"{row.value:.1f} °C"
+    elif isinstance(instrument, PowerSupply):
+        states = instrument.state("instruments")
+        row.value = {output: state.voltage_v for output, state in states.items()}
+        row.shows = ", ".join(
+            f"{output} {f'{state.voltage_v:.3f} V {state.current_a:.4f} A' if state.on else 'off'}"
+            for output, state in states.items()
+        )
+    elif isinstance(instrument, Thermometer):
+        row.value = instrument.block_c("instruments")
+        row.shows = f"{row.value:.2f} °C, {instrument.sensor}"
+    elif isinstance(instrument, Level):
+        found = instrument.inclination("instruments", turned=False)
+        row.value = {"along": found.along_rad, "across": found.across_rad}
+        row.shows = ", ".join(f"{axis} {value / ARCSEC:+.1f} arcsec" for axis, value in row.value.items())
+    elif isinstance(instrument, _HasScale):
+        row.value = instrument.position_rad()
+        row.shows = format_dms(row.value)
+
+
+PAGE: Final = "commissioning.html"
+RESULT: Final = "commissioning.json"
+WIRE_LOG: Final = "wire.log"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is commissioned and where its page goes.
+
+    Without a `person` it is the simulated bench with the scripted one; `seed` is that of its random numbers.
+    `tell` shows a line.
+    """
+
+    file: BenchFile
+    path: Path
+    folder: Path
+    person: Person | None
+    seed: int = 1
+    tell: Callable[[str], None] = lambda line: None
+
+
+def free_folder(now: datetime) -> Path:
+    """Return the folder for a commissioning that is not told one."""
+    return Path(f"commissioning-{now.astimezone():%Y%m%d-%H%M%S}")
+
+
+def commission(setting: Setting) -> dict[str, Any]:
+    """Go through the evening; return its result, which stands in the folder beside page and wire log.
+
+    The bench is left safe and the page written whatever happens. Raises `Refused` for a folder that cannot be
+    had, `BenchError` for a simulated bench that cannot be.
+    """
+    _take(setting.folder)
+    began = utc_now()
+    with logged_wire(setting.folder / WIRE_LOG) as log, Interrupts() as interrupts:
+        entered: AbstractContextManager[Evening]
+        if setting.person is None:
+            truth = simulated_truth(setting.file, None)
+            entered = dry_evening(setting.file, truth, setting.seed, log, interrupts.haste)
+        else:
+            entered = nullcontext(real_evening(setting.file, setting.person, log, interrupts.haste))
+        with entered as evening:
+            evening.tell = setting.tell
+            begun_s = evening.clock.now_s()
+            ended = _gone_through(evening, interrupts)
+            took_s = evening.clock.now_s() - begun_s
+            to_do = leave_safe(evening.instruments, None)
+        result = _result(setting, evening, began, took_s, ended, to_do)
+        try:
+            write_whole(setting.folder / RESULT, to_text(result))
+            write_whole(setting.folder / PAGE, render_commissioning(result))
+        except OSError as error:
+            raise Refused(
+                f"{error.filename}: cannot be written ({error.strerror}); the bench is left safe, what was found "
+                "is on the screen"
+            ) from error
+    return result
+
+
+def _take(folder: Path) -> None:
+    """Make the folder. Raises `Refused` where it cannot be, or another commissioning is in it."""
+    if (folder / PAGE).exists() or (folder / WIRE_LOG).exists():
+        raise Refused(f"{folder}: holds a commissioning already; name another folder with --out")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / WIRE_LOG).touch()
+    except OSError as error:
+        raise Refused(
+            f"{folder}: cannot be written ({error.strerror}); name another folder with --out"
+        ) from error
+
+
+def _gone_through(evening: Evening, interrupts: Interrupts) -> str:
+    """Go through the evening; return why it ended before its end, "" where it did not.
+
+    From its end on no signal raises anything: the bench is left safe and the page written.
+    """
+    try:
+        try:
+            go_through(evening)
+        finally:
+            interrupts.hold()
+    except Ended as why:
+        return str(why)
+    except KeyboardInterrupt:
+        return "stopped by a signal"
+    except Exception as error:  # a mistake of the program must not keep the page from being written
+        return f"the program failed with {type(error).__name__} ({error})"
+    return ""
+
+
+def _result(
+    setting: Setting, evening: Evening, began: datetime, took_s: float, ended: str, to_do: dict[str, str]
+) -> dict[str, Any]:
+    instruments = []
+    for section in setting.file.instruments.all():
+        identity = evening.identities.get(section.name)
+        instruments.append(
+            {
+                "name": section.name,
+                "address": str(getattr(section, "resource", "by hand")),
+                "identity": None if identity is None else str(identity),
+            }
+        )
+    status = status_of(evening.findings, whole=not ended)
+    result = {
+        "bench": setting.file.name,
+        "bench_file": str(setting.path),
+        "simulated": setting.person is None,
+        "began": began.isoformat(),
+        "took_s": took_s,
+        "status": status,
+        "ended": ended,
+        "instruments": instruments,
+        "findings": [finding.to_json() for finding in evening.findings],
+        "to_do": to_do,
+        "wire_log": WIRE_LOG,
+        "versions": versions(),
+    }
+    checked: dict[str, Any] = without_infinity(result)
+    return checked

@@ -1,0 +1,272 @@
+"""What the runs of one bench tell of it, and the learned file that its bench file takes."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from bench.base.arrays import CHANNELS, Floats
+from bench.base.tables import as_text, table
+from bench.calibration.budget.sources import assumed_stand
+from bench.config.bench_file.learned import arcsec, learned_for, write_learned
+from bench.config.model_file import load_model
+from bench.history.learning.body import RunFit, run_fit
+from bench.history.learning.learn import learn as learn_from
+from bench.history.learning.result import WAVE_NAMES, Learned
+from bench.model import CATALOGUE, AppliedEffect, ForwardModel
+from bench.model.effects import Subsystem
+from bench.services.errors import Refused
+from bench.services.learned import differences_of, written_meters
+from bench.services.source import Source, data_sha256
+from drivers.clock import utc_now
+
+USUAL_DAYS: Final = 365
+"""For so long a learned file counts where nobody says how long."""
+HEAD_EFFECTS: Final = ("head_eccentricity", "head_ellipticity")
+ONE_STAND: Final = (
+    "the mean of an angle is taken for the stand's, the same in every installation; where installations have "
+    "brackets of their own, --by-installation gives each a mean of its own"
+)
+OF_THE_REPEATS: Final = (
+    "noise and setting error are those of repeats alone, so that what a model lacks is not charged to them"
+)
+
+
+@dataclass(frozen=True)
+class LearningResult:
+    """What was learned of a bench: `learned` holds the sizes, `sources` all runs, contradicting ones among them."""
+
+    learned: Learned
+    sources: tuple[Source, ...]
+    made: datetime.date
+    expires: datetime.date
+    effects: tuple[AppliedEffect, ...]
+    by_installation: bool
+
+    @property
+    def bench(self) -> str:
+        """Which bench it is of."""
+        return self.sources[0].bench.name
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the runs were simulated."""
+        return self.sources[0].simulated
+
+    @property
+    def behind(self) -> tuple[Source, ...]:
+        """The runs behind the sizes."""
+        return tuple(source for source in self.sources if source.name in self.learned.runs)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader must know."""
+        own = [OF_THE_REPEATS] if self.by_installation else [ONE_STAND, OF_THE_REPEATS]
+        if self.simulated:
+            own.append("these runs are simulated: what is learned counts for simulated runs alone")
+        if self.learned.too_many_contradict:
+            own.append(
+                "more than a third of the runs contradict the others: this is not one bench, or it was changed in "
+                "between; learn from the runs of one of its states"
+            )
+        return tuple(own)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `bench learn --json` writes it."""
+        first = self.sources[0]
+        return {
+            "bench": first.taken.to_dict(),
+            "learned_for": learned_for(first.bench),
+            "made": self.made.isoformat(),
+            "expires": self.expires.isoformat(),
+            "simulated": self.simulated,
+            "records": [_record(source) for source in self.behind],
+            **self.learned.to_json(),
+            "effects": [applied.effect.name for applied in self.effects],
+            "notes": list(self.notes),
+        }
+
+    def write(self, path: str | Path) -> None:
+        """Write the learned file. Raises `Refused` where it exists or the runs are no one bench, `OSError`."""
+        path = Path(path)
+        if path.exists():
+            raise Refused(
+                f"{path}: is there already, and a learned file is not overwritten; give another --out"
+            )
+        if self.learned.too_many_contradict:
+            raise Refused(f"{path}: not written, for more than a third of the runs contradict the others")
+        write_learned(path, self._content(), self.effects)
+
+    def _content(self) -> dict[str, Any]:
+        found, first = self.learned, self.sources[0]
+        known = found.known
+        assert known.noise is not None  # noqa: S101 - learned so
+        u = np.sqrt(np.diag(known.covariance))
+        noise: dict[str, Any] = {"unit": found.unit}
+        for channel, size, dof in zip(CHANNELS, known.noise.channels, known.noise.channel_dof, strict=True):
+            noise[channel] = {"size": float(size), "dof": float(dof)}
+        noise["setting"] = {"size": arcsec(known.noise.setting_rad), "dof": known.noise.setting_dof}
+        return {
+            "bench": self.bench,
+            "learned_for": learned_for(first.bench),
+            "made": self.made.isoformat(),
+            "expires": self.expires.isoformat(),
+            "simulated": self.simulated,
+            "runs": [_record(source) for source in self.behind],
+            "stand": {
+                "means": [
+                    {
+                        "angle": name,
+                        **({"installation": at} if at else {}),
+                        "value": arcsec(value),
+                        "u": arcsec(size),
+                    }
+                    for (name, at), value, size in zip(
+                        known.keys, known.mean.tolist(), u.tolist(), strict=True
+                    )
+                ],
+                "covariance_rad2": known.covariance.tolist(),
+                "remount": {name: arcsec(size) for name, size in known.remount.items()},
+            },
+            "noise": noise,
+            **({} if isinstance(found.meters, str) else {"meters": written_meters(found.meters)}),
+            "sizes": {
+                size.name: f"{size.value:.6g} {size.unit}, u {size.u:.3g}, dof {size.dof:.3g}"
+                for size in found.sizes()
+            },
+            "contradicting": [one.sentence for one in found.contradicting],
+            "not_identified": found.not_identified(),
+        }
+
+    def table(self) -> Table:
+        """Return every size with u and degrees of freedom."""
+        shown = table("size", ">value", ">u", ">dof", "", "")
+        for size in self.learned.sizes():
+            dof = f"{size.dof:.0f}" if size.dof < 1e5 else "many"
+            told = "" if size.told else "as stated before"
+            shown.add_row(size.name, f"{size.value:.4g}", f"{size.u:.2g}", dof, size.unit, told)
+        return shown
+
+    def print_on(self, out: Console) -> None:
+        """Print what contradicts first, then the sizes, then what these runs do not tell."""
+        found = self.learned
+        for one in found.contradicting:
+            out.print(f"{one.sentence} (p {one.p:.1g}, all looks counted); it is left out", style="bold")
+        kind = "simulated runs" if self.simulated else "runs"
+        out.print(f"Bench {self.bench}, learned from {len(found.runs)} {kind}, until {self.expires}:")
+        out.print(self.table())
+        for sentence in () if isinstance(found.meters, str) else found.meters.words():
+            out.print(sentence)
+        for sentence in found.not_identified():
+            out.print(f"not told: {sentence}")
+
+    def __repr__(self) -> str:
+        """Return what `bench learn` prints."""
+        return as_text(self.print_on)
+
+
+def learning_of(
+    sources: Sequence[Source],
+    *,
+    by_installation: bool = False,
+    expires: datetime.date | None = None,
+) -> LearningResult:
+    """Learn from the runs of one bench. Raises `Refused` for those of several, `CalibrationError` as `learn` does.
+
+    Effects of a model file that are of the bench, found in many runs together, become the bench's.
+    """
+    _require_one_bench(sources)
+    first = sources[0]
+    made = utc_now().date()
+    until = made + datetime.timedelta(days=USUAL_DAYS) if expires is None else expires
+    if until <= made:
+        raise Refused(f"--expires {until}: is past; give a day to come, or a number of days")
+    stand_u = first.stand_u | {name: size.u for name, size in assumed_stand(first.bench).items()}
+    asked = _effects_of_model(sources)
+    certified = first.bench.instruments.head.certificate is not None
+    waves = not certified and not {a.effect.name for a in asked} & set(HEAD_EFFECTS)
+    own = [_certified(source) for source in sources]
+    found = learn_from([_fit(source, stand_u) for source in own], stand_u, by_installation=by_installation,
+                       waves=waves)  # fmt: skip
+    found = replace(found, meters=differences_of([source for source in own if source.name in found.runs]))
+    effects = (*asked, *_circle(found))
+    return LearningResult(found, tuple(sources), made, until, effects, by_installation)
+
+
+def _certified(source: Source) -> Source:
+    """Return a source as certificates have it, and with no effects but those of a model that was asked for."""
+    plain = source.model if source.request.model else ForwardModel(source.bench.installation_models())
+    return replace(source.as_certified(), model=plain)
+
+
+def _fit(source: Source, stand_u: dict[str, float]) -> RunFit:
+    return run_fit(source.name, source.readings, source.model, stand_u)
+
+
+def _effects_of_model(sources: Sequence[Source]) -> tuple[AppliedEffect, ...]:
+    """Return the effects of the model file asked for that are of the bench. Raises `Refused` for a block's."""
+    if sources[0].request.model is None:
+        return ()
+    # a source that the model was found in has its values without u; as found they stand in the file
+    file = load_model(sources[0].request.model, sources[0].model.installations)
+    effects = file.applied_effects()
+    of_block = [a.effect.name for a in effects if a.effect.subsystem is Subsystem.BLOCK]
+    if of_block:
+        raise Refused(
+            f"{sources[0].request.model}: {', '.join(of_block)} is of a block and not of the bench; learn from a "
+            "model without it"
+        )
+    own = [a for a in effects if a.installations and any("/" in label for label in a.installations)]
+    if own:
+        raise Refused(
+            f"{sources[0].request.model}: {own[0].effect.name} is of one mounting alone, and not of the bench"
+        )
+    return effects
+
+
+def _circle(found: Learned) -> list[AppliedEffect]:
+    """Return the head's eccentricity and ellipticity where they are shown, with u, as effects of the bench."""
+    m = len(found.keys)
+    u: Floats = np.sqrt(np.diag(found.covariance))
+    effects = []
+    for k in found.shown_waves():
+        effect = CATALOGUE[HEAD_EFFECTS[k]]
+        values, sizes = {}, {}
+        for j in (2 * k, 2 * k + 1):
+            parameter = WAVE_NAMES[j].partition(".")[2]
+            values[parameter], sizes[parameter] = np.array(found.means[m + j]), np.array(u[m + j])
+        effects.append(AppliedEffect(effect, values, CHANNELS, sizes))
+    return effects
+
+
+def _record(source: Source) -> dict[str, str]:
+    head = "" if source.run is None else source.run.history.head
+    own = {"name": source.name, "readings": data_sha256(source.as_read)}
+    return own | ({"head": head} if head else {})
+
+
+def _require_one_bench(sources: Sequence[Source]) -> None:
+    first = sources[0]
+    for source in sources[1:]:
+        if learned_for(source.bench) != learned_for(first.bench):
+            raise Refused(
+                f"{source.name} is of another bench than {first.name} (stand, head, installations or meters "
+                "differ); say with --bench FILE which one holds for all, or learn from the runs of one"
+            )
+        if source.simulated != first.simulated:
+            raise Refused(
+                f"{source.name} is simulated or {first.name} is, and one of both is not; do not mix them"
+            )
+    hashes: dict[str, str] = {}
+    for source in sources:
+        own = data_sha256(source.as_read)
+        if own in hashes:
+            raise Refused(f"{source.name}: has the same readings as {hashes[own]}; give each run once")
+        hashes[own] = source.name

@@ -1,0 +1,109 @@
+"""The user's own effects around an evaluation or a run; unnamed terms that get a name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import yaml
+
+from bench.base.forms import FileMistakes
+from bench.config.formulas import effects_as_written, effects_in, effects_text, load_effects, written_formulas
+from bench.config.model_file import accept, load_model, write_model_file
+from bench.model.effects import CATALOGUE
+from bench.run.folder import EFFECTS, Run
+from bench.services.errors import Refused
+
+if TYPE_CHECKING:
+    from bench.services.source import Source
+
+
+@contextmanager
+def knowing_effects_of(*sources: Source) -> Iterator[None]:
+    """Know the user's own effects of sources, while this lasts. Raises `Refused` where two of a name differ."""
+    with ExitStack() as known:
+        try:
+            known.enter_context(CATALOGUE.also(effect for source in sources for effect in source.effects))
+        except ValueError as problem:
+            raise Refused(f"{', '.join(source.name for source in sources)}: {problem}") from None
+        yield
+
+
+def knowing_effects_in(files: str | Path | Sequence[str | Path] | None) -> AbstractContextManager[None]:
+    """Know the effects in a file, or in several. Raises `FileMistakes` with every mistake in it."""
+    return CATALOGUE.also(effects_in([files] if isinstance(files, str | Path) else files or ()))
+
+
+def effects_for_record() -> dict[str, bytes]:
+    """Return the file that a record keeps of the user's own effects; nothing where none is known."""
+    if not CATALOGUE.own:
+        return {}
+    return {
+        EFFECTS: yaml.safe_dump(effects_text(CATALOGUE.own), sort_keys=False, allow_unicode=True).encode()
+    }
+
+
+def knowing_effects_on_record(run: Run) -> AbstractContextManager[None]:
+    """Know the user's own effects that a run was begun with. Raises `FileMistakes` where one differs by now."""
+    file = run.folder / EFFECTS
+    return CATALOGUE.also(load_effects(file) if file.is_file() else ())
+
+
+@dataclass(frozen=True)
+class Written:
+    """The files that were written."""
+
+    effects: Path
+    model: Path
+
+
+def accept_terms(
+    model: Path,
+    name: str,
+    sentence: str,
+    *,
+    terms: Sequence[str] = (),
+    shown_by: str | None = None,
+    out: Path | None = None,
+) -> Written:
+    """Write the effect of this name, and the model with it in place of the terms. Raises `Refused`, `FileMistakes`.
+
+    Nothing is overwritten.
+    """
+    file = load_model(model)
+    try:
+        accepted = accept(file.applied_effects(), terms, name, sentence)
+        effect = replace(accepted.effect, shown_by=shown_by or accepted.effect.shown_by)
+        if effects_as_written(written_formulas([effect])) != (effect,):
+            raise ValueError(f"--name {name}: expected small letters, digits and _, a letter first")
+        with CATALOGUE.also([effect]):
+            pass
+    except ValueError as problem:
+        raise Refused(f"{model}: {problem}") from None
+    place = out or model.with_name(f"{name}.yaml")
+    beside = model.with_name(f"{model.stem}-{name}{model.suffix}")
+    for path in (place, beside):
+        if path.exists():
+            raise Refused(
+                f"{path}: a file of that name is there and is not overwritten; say --out FILE or move it"
+            )
+    effects = [replace(a, effect=effect) if a.effect is accepted.effect else a for a in accepted.effects]
+    try:
+        place.write_text(yaml.safe_dump(effects_text([effect]), sort_keys=False, allow_unicode=True), "utf-8")
+        write_model_file(
+            beside,
+            f"{file.parent} + {name}",
+            effects,
+            parent=file.parent,
+            data_sha256=file.data_sha256,
+            evidence=file.evidence,
+            dark_uncertainty=file.dark_uncertainty,
+        )
+    except OSError as error:
+        raise Refused(f"{error.filename}: it cannot be written ({error.strerror}); say --out FILE") from None
+    except FileMistakes as mistakes:
+        raise Refused(str(mistakes)) from None
+    return Written(place, beside)

@@ -1,0 +1,234 @@
+"""Run records as listed, and their seals."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.base.files import read_regular
+from bench.readings.columns import columns_of, ranges_in_words
+from bench.run.folder import VERIFY, Digest, Digests, Run, all_runs
+from bench.run.manifest import RecordError
+from bench.run.record import is_being_written
+from bench.run.seal import (
+    NoTimeStamp,
+    Seal,
+    ask_time_stamp,
+    check_server,
+    fingerprint,
+    is_signed,
+    new_seal,
+    private_key,
+    public_key,
+    read_public_key,
+    read_seal,
+    read_time_stamp,
+    sign,
+    signed,
+    write_seal,
+)
+from bench.run.states import ENDED, RunState
+from bench.services.errors import Refused
+from drivers.clock import utc_now
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+
+
+def run_summaries(runs: Path) -> list[dict[str, object]]:
+    """Return the list of the runs in a folder, oldest first. Nothing in that folder is opened for writing."""
+    digests = Digests(runs)
+    found = [run_summary(run, digests.of) for run in all_runs(runs)]
+    digests.save()
+    return found
+
+
+def run_summary(run: Run, digest_of: Callable[[Run], Digest] = Digest.of) -> dict[str, object]:
+    """Return a row of the list; a run that cannot be read is one as well, with the reason."""
+    try:
+        digest = digest_of(run)
+        state, to_go_on = _state_and_next(run, digest)
+        count = int(run.manifest["readings"]) if run.imported else digest.readings
+    except (RecordError, ValueError, TypeError, KeyError) as reason:
+        return {
+            "name": run.name,
+            "created": "",
+            "instruments": "-",
+            "state": f"damaged: {reason}",
+            "readings": 0,
+            "verdict": None,
+            "to_go_on": "",
+        }
+    return {
+        "name": run.name,
+        "created": run.created,
+        "instruments": "simulated" if run.simulated else ("-" if state == "imported" else "real"),
+        "state": state,
+        "readings": count,
+        "verdict": _verdict(run),
+        "to_go_on": to_go_on,
+    }
+
+
+def supply_in_words(run: Run) -> str:
+    """Return from which to which voltage and current each rail of the block was; empty where nobody measured it."""
+    if run.imported:
+        return ""
+    return ranges_in_words(columns_of([one.rails for one in run.history.readings.values()]))
+
+
+def _verdict(run: Run) -> str | None:
+    """Return the verdict that stands in a run's folder, None where there is none.
+
+    Results of versions before have no statement: they passed or failed.
+    """
+    try:
+        found = json.loads(read_regular(run.folder / f"{VERIFY}.json").decode())
+        statement = str(found.get("statement") or ("pass" if found["passed"] else "fail"))
+        return {"pass": "passed", "fail": "failed"}.get(statement, statement)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
+
+
+def _state_and_next(run: Run, digest: Digest) -> tuple[str, str]:
+    """Return the state of a run in words, and the command that goes on with it."""
+    if digest.problems:
+        return "damaged", f"bench show {run.name} --verify"
+    if run.imported:
+        return "imported", ""
+    state = digest.state
+    wanted = run.results_missing if state is RunState.FINISHED else state not in ENDED
+    if not wanted or is_being_written(run.folder):
+        return state.value, ""
+    alive = {RunState.READY: "not begun", RunState.RUNNING: "unfinished", RunState.PAUSED: "unfinished"}
+    return alive.get(state, state.value), f"bench resume {run.name}"
+
+
+NOTHING_OUTSIDE = (
+    "nothing outside the folder stands for this: lines taken off the end, or a whole chain computed anew, would "
+    "not show; --head with the head from a result, a report or a seal kept elsewhere shows them"
+)
+
+
+@dataclass(frozen=True)
+class Sealed:
+    """A seal, its file, and why it has no time stamp where one was asked for."""
+
+    seal: Seal
+    file: Path
+    no_time_stamp: str = ""
+
+
+def seal_run(run: Run, key: Path | None, server: str | None, passphrase: Callable[[], bytes]) -> Sealed:
+    """Seal a run that has ended; a server that gives no time stamp leaves it without one.
+
+    Raises `RecordError` for a run or a key that is not fit for it, `Refused` where the seal cannot be written.
+    """
+    if server is not None:
+        check_server(server)
+    seal = new_seal(run, utc_now())
+    if key is not None:
+        seal = signed(seal, *sign(private_key(key, passphrase), seal.signed_bytes))
+    missing = ""
+    if server is not None:
+        try:
+            seal = replace(seal, time_stamp=ask_time_stamp(server, seal.stamped_bytes))
+        except NoTimeStamp as reason:
+            missing = str(reason)
+    try:
+        return Sealed(seal, write_seal(run.folder, seal), missing)
+    except OSError as error:
+        raise Refused(f"{error.filename}: cannot be written ({error.strerror}); nothing is sealed") from error
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What stands behind a record, a sentence each, and what speaks against it."""
+
+    told: tuple[str, ...]
+    problems: tuple[str, ...]
+
+
+def proof_of(run: Run, head: str | None, key: Path | None, authority: Path | None) -> Proof:
+    """Hold a record against its seal, and against what is kept elsewhere: a head, a public key, an authority.
+
+    Raises `Refused` for a head that is none, `RecordError` for a key that cannot be read.
+    """
+    if head is not None and re.fullmatch(r"[0-9a-f]{64}", head.lower()) is None:
+        raise Refused(f"--head {head}: a head is the SHA-256 of a line, 64 hexadecimal digits")
+    given = None if key is None else read_public_key(key)
+    told, problems = [f"head: {run.history.head}"], []
+    outside = False
+    if head is not None:
+        if head.lower() == run.history.head:
+            outside = True
+            told.append(
+                "the head is the one given: no line was changed, removed or added since that was noted"
+            )
+        else:
+            problems.append(
+                "the head is not the one given: the record is not the one of which that was noted"
+            )
+    try:
+        seal = read_seal(run.folder)
+        if seal is None:
+            told.append("no seal")
+            if key is not None or authority is not None:
+                problems.append("there is no seal that a key or an authority could stand for")
+        else:
+            outside |= _signature(seal, given, told, problems)
+            outside |= _time_stamp(seal, authority, told, problems)
+            problems += seal.differences(run)
+    except RecordError as error:
+        problems.append(str(error))
+    if not outside and not problems:
+        told.append(NOTHING_OUTSIDE)
+    return Proof(tuple(told), tuple(problems))
+
+
+def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], problems: list[str]) -> bool:
+    """Tell who signed; whether that is the one whose key was given."""
+    if not seal.signature:
+        told.append(
+            f"sealed at {seal.events} events, not signed: who can write the folder can write such a seal"
+        )
+        if given is not None:
+            problems.append("the seal is not signed, so that the key given says nothing of it")
+        return False
+    key = public_key(seal.public_key, "the seal")
+    if not is_signed(key, seal.signature, seal.signed_bytes):
+        problems.append("the signature is not one of this seal")
+        return False
+    name = fingerprint(key)
+    if given is None:
+        told.append(f"sealed at {seal.events} events, signed with the key {name}; whose that is, --key tells")
+        return False
+    if fingerprint(given) != name:
+        problems.append(f"the seal is signed with another key than the one given: {name}")
+        return False
+    told.append(f"sealed at {seal.events} events, signed with the key given: by who has its private half")
+    return True
+
+
+def _time_stamp(seal: Seal, authority: Path | None, told: list[str], problems: list[str]) -> bool:
+    """Tell when the seal was there at the latest; whether a trusted authority stands for it."""
+    if not seal.time_stamp:
+        told.append(f"no time stamp: that it was sealed at {seal.sealed} is what the computer's clock said")
+        if authority is not None:
+            problems.append("the seal has no time stamp that the authority could stand for")
+        return False
+    try:
+        stamp = read_time_stamp(seal.time_stamp, seal.stamped_bytes, authority)
+    except NoTimeStamp as error:
+        problems.append(str(error))
+        return False
+    at = stamp.time.isoformat()
+    if stamp.trusted:
+        told.append(f"time-stamped by the authority given: the record is not later than {at}")
+    else:
+        told.append(f"its time stamp says {at}; who stands for it, --authority FILE tells")
+    return stamp.trusted

@@ -1,0 +1,339 @@
+"""What an analysis is made from: a run, a readings file or a table, with the bench and the model of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.base.words import repeated
+from bench.calibration.budget.meters import KnownMeters
+from bench.calibration.known import KnownStand
+from bench.config.bench_file.file import BenchFile
+from bench.config.model_file import ModelFile, load_model
+from bench.model import CATALOGUE, Effect, ForwardModel
+from bench.readings.corrected import VOLTS, corrected
+from bench.readings.csv import format_csv, read_csv, read_frame
+from bench.readings.table import Readings
+from bench.run.folder import IMPORTED, Run, find_run
+from bench.run.manifest import MANIFEST, RecordError, sha256
+from bench.services.bench_selection import (
+    BenchTaken,
+    Origin,
+    Told,
+    bench_of,
+    origin_beside,
+    origin_of_run,
+    recorded_sha256,
+)
+from bench.services.errors import Refused
+from bench.services.learned import (
+    NOTHING,
+    LearnedTaken,
+    take_learned,
+    voltmeter_names,
+    with_effects,
+    with_meters,
+)
+from bench.services.traceability import Traced, trace
+
+if TYPE_CHECKING:
+    from typing import TypeAlias
+
+    import pandas as pd
+
+    Given: TypeAlias = str | Readings | pd.DataFrame
+    """Readings to be evaluated: name or path of a run, path of a readings file, or a table in memory."""
+
+WHAT_IF = "what-if"
+NO_GRAVITY = "gives no local gravity; add 'gravity' to it, or say --g 9.81 (m/s²)"
+LEAST_GRAVITY, MOST_GRAVITY = 9.75, 9.85
+
+
+@dataclass(frozen=True)
+class Request:
+    """What all analyses share: readings (runs by name live in `runs`), and what goes in place of what is usual.
+
+    `bench` is a bench file by path or name, or one at hand; `out` a folder for what is derived from the readings.
+    """
+
+    sources: Sequence[Given]
+    runs: Path
+    bench: str | BenchFile | None = None
+    model: Path | None = None
+    g_m_s2: float | None = None
+    out: Path | None = None
+    skip_bad_rows: bool = False
+
+
+@dataclass(frozen=True)
+class Source:
+    """One run, readings file or table, read, with its bench. `run` is None for all but a run.
+
+    `taken` says which bench file it is, and why that one; `bench` is that of the unit whose readings these are.
+    `origin` is where they come from, None where nobody says it. The readings are corrected as the certificates of
+    the instruments say, of which `traced` tells; `as_read` are those that were read. `effects` are the user's own:
+    those that were known, and those whose formulas stand in the bench file and the model file.
+    `known` is what other runs of the bench told of its stand and noise, None where nothing counts; `known_meters`
+    how its voltmeters differ (the readings are corrected by it, too), learned as `learned_of` says.
+    """
+
+    name: str
+    readings: Readings
+    bench: BenchFile
+    taken: BenchTaken
+    model: ForwardModel
+    g_m_s2: float
+    run: Run | None
+    origin: Origin | None
+    request: Request
+    as_read: Readings
+    traced: Traced
+    effects: tuple[Effect, ...] = ()
+    known: KnownStand | None = None
+    known_meters: KnownMeters | None = None
+    learned_of: str = ""
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the readings come from simulated instruments, as far as anybody says where they come from."""
+        return self.origin is not None and self.origin.simulated
+
+    @property
+    def meters(self) -> tuple[str, ...]:
+        """Which voltmeters read: what each answered, and where on which bench; empty where nobody recorded it.
+
+        Many answer without a serial number, so that the identity alone is that of all of their kind.
+        """
+        told = {} if self.origin is None else self.origin.instruments
+        meters = self.bench.instruments.voltmeters
+        if not all(told.get(meter.name) for meter in meters):
+            return ()
+        # errors cancel between two calibrations where both took the same of them away
+        taken = f", {self.learned_of} taken away" if self.known_meters is not None else ""
+        return tuple(f"{told[m.name]} at {m.resource} of {self.bench.name}{taken}" for m in meters)
+
+    @property
+    def block_name(self) -> str:
+        """Type and serial number of the block; empty where neither a run nor a bench file asked for says it."""
+        if self.origin is None and not (self.request.bench or os.environ.get("BENCH_FILE")):
+            return ""
+        unit = self.bench.unit_under_test
+        return f"{unit.type} {unit.serial}".strip()
+
+    @property
+    def made_at(self) -> str | None:
+        """Civil time at which the run was begun (ISO 8601); None where nobody recorded it."""
+        return self.origin.begun or None if self.origin is not None else None
+
+    @property
+    def what_if(self) -> bool:
+        """Whether a run is evaluated with something else than what it recorded: its own results stay then."""
+        if self.run is None:
+            return False
+        asked = self.request
+        other_bench = asked.bench is not None and self.taken.sha256 != recorded_sha256(self.run)
+        other_g = asked.g_m_s2 is not None and asked.g_m_s2 != self.bench.gravity_m_s2
+        return other_bench or other_g or asked.model is not None
+
+    @property
+    def stand_u(self) -> dict[str, float]:
+        """Standard uncertainties of the stand's errors by name, rad; the voltmeter's only for signals in V."""
+        sizes = {name: d.u for name, d in self.bench.stand_distributions().items()}
+        return sizes if self.readings.unit == VOLTS else sizes | {"voltmeter_error": 0.0}
+
+    def as_certified(self) -> Source:
+        """Return the source without what was learned: readings corrected by certificates alone, stated limits."""
+        readings = corrected(self.as_read, self.traced.by_certificates)
+        return replace(
+            self, known=None, known_meters=None, readings=replace(readings, notes=self.readings.notes)
+        )
+
+    def output(self, command: str, suffix: str, *, what_if: bool = False) -> Path:
+        """Return the file that a command writes for this source.
+
+        In the run's folder, in `--out`, or in a folder named after the command beside the readings file. What would
+        be, were something else than what the run recorded (`what_if`), goes into a folder of its own in the run's.
+        """
+        file = _output(self.name, self.run, self.request.out, command, suffix)
+        aside = what_if and self.run is not None and self.request.out is None
+        return file.parent / WHAT_IF / file.name if aside else file
+
+
+def load_sources(request: Request) -> list[Source]:
+    """Read all sources. Raises the first mistake found, as the readers do."""
+    check_gravity(request.g_m_s2)
+    check_places(request)
+    return [_load(given, request) for given in request.sources]
+
+
+def check_places(request: Request) -> None:
+    """Refuse sources of which one would write over what another wrote. Raises `Refused`."""
+    if request.out is not None and request.out.exists() and not request.out.is_dir():
+        raise Refused(f"--out {request.out}: a file of that name is there; give a folder")
+    places = []
+    for name in request.sources:
+        if isinstance(name, str):
+            with suppress(Refused, RecordError, OSError):  # one that is not there writes nothing
+                places.append(_output(name, _run_of(name, request.runs), request.out, "", ""))
+    for place in repeated(map(str, places)):
+        raise Refused(f"--out: two sources would write {place}*; give each a folder of its own")
+
+
+def _output(name: str, run: Run | None, out: Path | None, command: str, suffix: str) -> Path:
+    if run is not None:
+        return out / f"{run.name}-{command}{suffix}" if out else run.folder / f"{command}{suffix}"
+    return (out or Path(name).parent / command) / f"{Path(name).stem}{suffix}"
+
+
+def data_sha256(readings: Readings) -> str:
+    """Return the SHA-256 by which a model file knows readings: that of the readings file they make."""
+    return sha256(format_csv(readings).encode())
+
+
+def _knows(stated: str | None, readings: Readings) -> bool:
+    """Whether these readings are among those of a model file's hashes; earlier versions hashed every bit."""
+    hashes = (stated or "").split()
+    return bool(hashes) and (
+        data_sha256(readings) in hashes or sha256(format_csv(readings, to_the_bit=True).encode()) in hashes
+    )
+
+
+def _load(given: Given, request: Request) -> Source:
+    run = _run_of(given, request.runs) if isinstance(given, str) else None
+    told = Told()
+    if run is not None:
+        run.trusted_history()
+        told = origin_of_run(run)
+    elif isinstance(given, str):
+        told = origin_beside(Path(given))
+    taken, notes = bench_of(given if isinstance(given, str) else "", run, told, request.bench)
+    bench, other_unit = _of_unit(taken.file, told.origin)
+    notes += other_unit
+    if run is not None:
+        notes += _on_check_block(run)
+    if told.origin is not None:
+        notes += told.notes
+    readings = _readings_of(given, run, bench, skip_bad_rows=request.skip_bad_rows)
+    gravity = bench.gravity_m_s2 if request.g_m_s2 is None else request.g_m_s2
+    if gravity is None:
+        raise Refused(f"{taken.where}: {NO_GRAVITY}")
+    model = ForwardModel(bench.installation_models())
+    own = (*CATALOGUE.own, *bench.own_effects())
+    if request.model is not None:
+        file = load_model(request.model, model.installations)
+        model, of_model = _of_model_file(file, readings, model)
+        notes += of_model
+        own += file.own_effects()
+    as_read = readings
+    bench, readings, traced = trace(taken, bench, readings, told.origin)
+    learned = _learned(given, taken, bench, as_read, traced, run, told)
+    model = with_effects(model, learned.effects)
+    if learned.meters is not None:
+        traced = replace(traced, by=traced.by.then(learned.meters.gain, learned.meters.offset_v))
+        readings = corrected(as_read, traced.by)
+    readings = replace(readings, notes=(*notes, *learned.notes, *traced.notes(), *readings.notes))
+    name = given if isinstance(given, str) else readings.source
+    return Source(
+        name, readings, bench, taken, model, gravity, run, told.origin, request, as_read, traced,
+        (*own, *learned.own), learned.known, learned.meters, learned.name,
+    )  # fmt: skip
+
+
+def _learned(
+    given: Given,
+    taken: BenchTaken,
+    bench: BenchFile,
+    readings: Readings,
+    traced: Traced,
+    run: Run | None,
+    told: Told,
+) -> LearnedTaken:
+    file = taken.learned()
+    if file is None:
+        return NOTHING
+    name = given if isinstance(given, str) else ""
+    found = take_learned(
+        file,
+        traced.day,
+        readings.unit,
+        head="" if run is None else run.history.head,
+        hashes=(data_sha256(readings), sha256(format_csv(readings, to_the_bit=True).encode())),
+        simulated=None if told.origin is None else told.origin.simulated,
+    )
+    if found.known is None or readings.unit != VOLTS or readings.corrected:
+        return found
+    return with_meters(found, file, bench, traced.day, voltmeter_names(bench, taken, told.origin, name))
+
+
+def _on_check_block(run: Run) -> tuple[str, ...]:
+    """Say what the check block said as a run began, where it spoke against it."""
+    told = run.manifest.get("check_block")
+    if told is None or "said" not in told or told.get("state") == "in control":
+        return ()
+    reason = told.get("despite")
+    went_on = f"the run was begun all the same: {reason}" if reason else "the bench file's rule is to warn"
+    return (f"check block: {told['said']}; {went_on}",)
+
+
+def _of_unit(bench: BenchFile, origin: Origin | None) -> tuple[BenchFile, tuple[str, ...]]:
+    """Return the bench with the unit that the readings are of, and a note where its file names another."""
+    stated = bench.unit_under_test
+    unit = origin.unit_under_test if origin is not None else None
+    if unit is None or (unit.type, unit.serial) == (stated.type, stated.serial):
+        return bench, ()
+    note = f"the readings are of unit {unit.type} {unit.serial}; the bench file names {stated.type} {stated.serial}"
+    own = stated.model_copy(update={"type": unit.type, "serial": unit.serial})
+    return bench.model_copy(update={"unit_under_test": own}), (note,)
+
+
+def _readings_of(given: Given, run: Run | None, bench: BenchFile, *, skip_bad_rows: bool) -> Readings:
+    if isinstance(given, Readings):
+        return given
+    installations = bench.installation_models()
+    if not isinstance(given, str):
+        return read_frame(given, installations, skip_bad_rows=skip_bad_rows)
+    if run is None:
+        return read_csv(Path(given), installations, skip_bad_rows=skip_bad_rows)
+    if run.imported:
+        return read_csv(run.folder / IMPORTED, installations, skip_bad_rows=skip_bad_rows)
+    return run.readings()
+
+
+def _of_model_file(
+    file: ModelFile, readings: Readings, plain: ForwardModel
+) -> tuple[ForwardModel, tuple[str, ...]]:
+    """Return the model of a file for these readings, with a note where they are what it was found in.
+
+    Its values have then seen the readings: as priors they would count them twice.
+    """
+    model = replace(plain, effects=file.applied_effects(), name=file.name)
+    dark: tuple[str, ...] = ()
+    if file.dark_uncertainty is not None:
+        dark = (
+            f"model {file.name} leaves {file.dark_uncertainty} in each reading unexplained (dark uncertainty): "
+            "it has terms without a name",
+        )
+    if not _knows(file.data_sha256, readings):
+        return model, dark
+    note = f"model {file.name} was found in these very readings: its values are estimated anew, not used as known"
+    return replace(model, effects=tuple(replace(a, u={}) for a in model.effects)), (note, *dark)
+
+
+def _run_of(name: str, runs: Path) -> Run | None:
+    """Tell a run from a readings file: a file is a file, everything else must be a run."""
+    path = Path(name)
+    if path.is_file() and path.name != MANIFEST:
+        return None
+    if path.suffix.lower() in {".csv", ".txt"} and not (runs / name).is_dir():
+        raise Refused(f"{name}: no such readings file; check the name")
+    return find_run(name, runs)
+
+
+def check_gravity(g_m_s2: float | None) -> None:
+    """Refuse a value of local gravity that is none on Earth. Raises `Refused`."""
+    if g_m_s2 is not None and not LEAST_GRAVITY <= g_m_s2 <= MOST_GRAVITY:
+        raise Refused(f"--g {g_m_s2:g}: local gravity lies between 9.75 and 9.85 m/s² on Earth")

@@ -1,0 +1,501 @@
+"""Runs until it is good enough: goals, floor, choices; the outlook of any run."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from bench.base.forms import FileMistakes
+from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE
+from bench.calibration.budget.sources import assumed_stand
+from bench.calibration.result import CalibrationError
+from bench.config.bench_file.file import BenchFile, load_bench
+from bench.config.devices.device import is_serial
+from bench.config.procedure.check import (
+    check,
+    disk_needed_bytes,
+    largest_signal_v,
+    operator_actions,
+    orientations,
+    prompts_without_default,
+    undetermined,
+)
+from bench.config.procedure.load import load_procedure
+from bench.config.procedure.plan import Plan
+from bench.config.shipped import find_procedure
+from bench.model.conditions import Mounting
+from bench.model.effects import CATALOGUE
+from bench.model.forward import ForwardModel
+from bench.planning.optimal_design import (
+    Goal,
+    coefficient_goals,
+    modulus_goals,
+    vector_goal,
+    whole_goal,
+)
+from bench.planning.settings import Cost, Outlook, outlook, settings_of
+from bench.planning.stand import Stand
+from bench.planning.until.choice import REACHED, Chooser, Standing, scale_of, telling_apart
+from bench.planning.until.outlook import TimeOutlook, time_outlook
+from bench.planning.until.pool import (
+    NO_GOAL,
+    Aim,
+    Floor,
+    Pool,
+    Reached,
+    Site,
+    Wanted,
+    floors,
+    pool_of,
+    reached_by,
+    with_hidden,
+)
+from bench.readings.table import VERIFICATION
+from bench.run.folder import BENCH, Run
+from bench.run.history import History
+from bench.run.manifest import Manifest, RecordError
+from bench.run.resume import Progress
+from bench.run.sentences import duration, size_in_words
+from bench.services.bench_selection import bench_path
+from bench.services.calibration import CalibrationResult, calibration_of
+from bench.services.errors import Refused
+from bench.services.learned import NOTHING, LearnedTaken, learned_for_run, with_effects
+from bench.services.points import delta_g_of, stand_of
+from bench.services.quantities import named, quantity
+from bench.services.source import Request, load_sources
+from bench.services.traceability import remarks
+from drivers.clock import utc_now
+
+COMBINED: Final = "combined:"
+EXAMPLE: Final = "all=5e-5 (V/g and V), combined:Kxx=1e-4, delta-g=1e-4, vector=7e-5, modulus=1e-3 or time=4h"
+_PARTS_TOLD: Final = 3
+_NEARLY_ALL: Final = 0.995
+
+
+# --- what is asked for ------------------------------------------------------------------------------
+
+
+def stated_aim(texts: Sequence[str], stand: Stand, bench: BenchFile) -> Aim:
+    """Return the goals of `--until`, several in a text with commas between. Raises `Refused` with all mistakes."""
+    wanted: list[Wanted] = []
+    limit_s: float | None = None
+    sizes: dict[bool, dict[str, float]] = {False: {}, True: {}}
+    mistakes = []
+    for text in (part.strip() for given in texts for part in given.split(",") if part.strip()):
+        try:
+            name, size = named("--until", text, EXAMPLE)
+            combined = name.startswith(COMBINED)
+            name = name.removeprefix(COMBINED).strip()
+            if name == "time" and not combined:
+                limit_s = _positive(text, quantity("--until", size, DURATION, plain=False))
+            elif name in ("delta-g", "vector", "modulus"):
+                wanted += _of_force(name, quantity("--until", size, ACCELERATION), stand, bench, combined)
+            else:
+                unit = VOLTAGE if name.startswith("U0") else SCALE_FACTOR
+                coefficient_goals({name: (asked := quantity("--until", size, unit))})
+                sizes[combined][name] = asked
+        except Refused as mistake:
+            said = mistake.typed
+            mistakes.append(said if text in said else f"--until {text}: {said.removeprefix('--until ')}")
+        except CalibrationError as mistake:
+            mistakes.append(f"--until {text}: {mistake}")
+    if mistakes:
+        raise Refused("\n".join(mistakes))
+    for combined, asked_of in sizes.items():
+        wanted += [Wanted(goal, combined) for goal in coefficient_goals(asked_of)]
+    if not wanted and limit_s is None:
+        raise Refused(f"--until: say what is to be reached, such as {EXAMPLE}")
+    if not wanted:
+        return Aim((Wanted(vector_goal(stand.block, 1.0, NO_GOAL)),), limit_s)
+    whole = Wanted(whole_goal(stand.block, [one.goal for one in wanted]))
+    return Aim((*wanted, whole), limit_s)
+
+
+def _positive(text: str, size: float) -> float:
+    if not size > 0:
+        raise Refused(f"--until {text}: a time is positive")
+    return size
+
+
+def _of_force(name: str, asked: float, stand: Stand, bench: BenchFile, combined: bool) -> list[Wanted]:
+    if name == "delta-g" and combined:
+        raise Refused(
+            "--until combined:delta-g: of Δg only what the readings show is chosen by, for gain and zero of the "
+            "meters act on calibration and check alike; say delta-g, and let 'bench verify' state the whole"
+        )
+    goals: list[Goal] = []
+    match name:
+        case "delta-g":
+            goals = delta_g_of(stand, asked, "--until delta-g")
+        case "vector":
+            goals = [replace(vector_goal(stand.block, 1.0, asked), asked=_asked(asked))]
+        case _:
+            goals = modulus_goals(stand.block, bench.unit_under_test.range, asked)
+    return [Wanted(goal, combined) for goal in goals]
+
+
+def _asked(size: float) -> float:
+    if not size > 0:
+        raise Refused(f"--until vector={size:g}: the uncertainty asked for is a positive number")
+    return size
+
+
+def chooser_of(
+    plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING
+) -> Chooser:
+    """Return what chooses for these goals, with what was `learned` of the bench as a calibration takes it.
+
+    Raises `Refused`: also for a goal that no reading can reach.
+    """
+    model = with_effects(ForwardModel(bench.installation_models()), learned.effects)
+    try:
+        whole = stand_of(bench, model, learned.known)
+        # of an angle whose size nobody stated the readings' own uncertainty holds nothing
+        silent = {name for name in assumed_stand(bench) if not _is_told(name, learned)}
+        stated = {name: u for name, u in whole.sizes.items() if name not in silent}
+        stand = replace(whole, sizes=stated, hidden=())
+        aim = stated_aim(texts, stand, bench)
+        pool = pool_of(plan, bench.line_frequency)
+        # where it is asked for, points that show such an angle are worth their time
+        by = replace(whole, hidden=()) if all(w.combined or w.goal.loose for w in aim.wanted) else stand
+        aim = with_hidden(aim, by, whole, pool)
+        _refuse_below_floor(floors(aim, stand, whole, pool))
+        _refuse_too_short(aim, pool)
+        return Chooser(pool, aim, by)
+    except CalibrationError as reason:
+        raise Refused(f"--until {', '.join(texts)}: {reason}") from None
+
+
+def _is_told(name: str, learned: LearnedTaken) -> bool:
+    """Whether a size of the stand that nobody stated was learned."""
+    return learned.known is not None and name in {kind for kind, _ in learned.known.keys}
+
+
+def _refuse_below_floor(found: Sequence[Floor]) -> None:
+    """Raise `Refused` for goals that no number of readings reaches, with the floor and what makes it."""
+    if not found:
+        return
+    worst = max(found, key=lambda floor: floor.u / floor.wanted.goal.asked)
+    unit = worst.wanted.goal.unit
+    parts = ", ".join(
+        f"{name.replace('_', ' ')} {size_in_words(u, unit)}" for name, u in worst.parts[:_PARTS_TOLD]
+    )
+    others = list(dict.fromkeys(f.wanted.name for f in found if f.wanted.name != worst.wanted.name))
+    raise Refused(
+        f"--until: no number of readings at these points brings the {worst.wanted.name} below "
+        f"{size_in_words(worst.u, unit)}, and {size_in_words(worst.wanted.goal.asked, unit)} is asked for; "
+        f"what makes it: {parts}"
+        + (f"; nor the {', '.join(others)}" if others else "")
+        + "; ask for less, or better these"
+    )
+
+
+def _refuse_too_short(aim: Aim, pool: Pool) -> None:
+    if aim.limit_s is not None and aim.limit_s <= pool.always_s + sum(v.time_s for v in pool.visits[:1]):
+        raise Refused(
+            f"--until time: {aim.limit_s / 3600:.3g} h are too short: warm-up, verification points and one "
+            f"mounting take {(pool.always_s + pool.visits[0].time_s) / 3600:.3g} h"
+        )
+
+
+# --- what is chosen ---------------------------------------------------------------------------------
+
+
+class Until:
+    """Chooses on the way, by the record alone: a run that was killed and taken up again chooses the same."""
+
+    def __init__(self, run: Run, bench: BenchFile) -> None:
+        self._run = run
+        learned = learned_for_run(bench, run.folder / BENCH, run.created, simulated=run.simulated)
+        self._chooser = chooser_of(run.plan, bench, run.manifest.get("until", []), learned)
+        self._point_of = {point.reads[0]: point for point in self._chooser.pool.points}
+
+    def __call__(self, index: int, progress: Progress) -> dict[str, Any] | None:
+        """Return what is chosen at a step, None where there is nothing to choose."""
+        pool = self._chooser.pool
+        last = progress.chosen[-1] if progress.chosen else None
+        refused = frozenset(v.mount for v in pool.visits if v.mount_step in progress.skipped)
+        comes, needless = pool.visits[0].first, frozenset[int]()
+        if last is not None:
+            if last["stop"]:
+                return None
+            visit = pool.visits[int(last["visit"])]
+            comes = int(last["next"]["last"]) + 1
+            if visit.mount in refused:
+                own = {step for point in visit.points for step in point.steps} | set(visit.steps)
+                needless = frozenset(own - progress.left_out - progress.done)
+        again = any(step >= index and not progress.settled(step) for step in progress.redone)
+        if (index < comes and not needless) or again:  # what is taken again counts in the choice
+            return None
+        visited = -1 if last is None else int(last["visit"])
+        choice = self._chooser.choose(self._standing(visited, refused, progress))
+        return replace(choice, left_out=choice.left_out | needless).to_json()
+
+    def _standing(self, visit: int, refused: frozenset[Mounting], progress: Progress) -> Standing:
+        """Return what the record on the disk says."""
+        history = Run(self._run.folder).trusted_history()
+        taken = {step: r for step, r in history.readings.items() if step in self._point_of}
+        done: Counter[Site] = Counter()
+        for step, reading in taken.items():
+            site = self._point_of[step].site
+            done[site._replace(mount=Mounting(reading.series, reading.installation))] += 1
+        now = {
+            Mounting(series, label): Mounting(visit_now, label)
+            for (series, label), visit_now in progress.remounts.items()
+        }
+        skipped = {p.site for p in self._chooser.pool.points if p.steps[0] in progress.skipped}
+        standing = Standing(
+            visit,
+            frozenset(self._point_of[step].steps[0] for step in taken),
+            done,
+            max((reading.time_s or 0.0 for reading in taken.values()), default=0.0),
+            refused=frozenset(s._replace(mount=now.get(s.mount, s.mount)) for s in skipped),
+            refused_mounts=refused,
+            now=now,
+        )
+        return self._with_noise(standing, history) if taken else standing
+
+    def _with_noise(self, standing: Standing, history: History) -> Standing:
+        """Add what the readings tell of the noise, and what a calibration from them states."""
+        (source,) = load_sources(Request([str(self._run.folder)], self._run.folder.parent))
+        readings = source.readings.select(source.readings.installation != VERIFICATION)
+        standing = replace(standing, scale=scale_of(self._chooser.stand, readings))
+        try:
+            result = calibration_of(replace(source, readings=readings))
+        except CalibrationError:
+            return standing
+        apart = self._telling_apart(standing) if result.calibration.lack_of_fit.shown else frozenset[Site]()
+        return replace(standing, reached=self._reached(result), apart=apart)
+
+    def _telling_apart(self, standing: Standing) -> frozenset[Site]:
+        """Return the sites of this mounting, not read yet, that tell apart what may explain a misfit."""
+        open_sites = {standing.site_of(p) for p in self._chooser.open_points(standing.visit, standing)}
+        sites = sorted(open_sites - set(standing.done))
+        if not sites:
+            return frozenset()
+        done = [site.setting() for site, count in standing.done.items() for _ in range(count)]
+        best = telling_apart(
+            self._chooser.stand, done, [site.setting() for site in sites], list(CATALOGUE.values())
+        )
+        return frozenset(sites[i] for i in best)
+
+    def _reached(self, result: CalibrationResult) -> tuple[Reached, ...]:
+        own = result.calibration
+        return reached_by(self._chooser.aim, own.covariance_readings, own.covariance)
+
+
+def until_of(run: Run, bench: BenchFile) -> Callable[[int, Progress], dict[str, Any] | None]:
+    """Return what chooses for a run that goes on until it is good enough; for any other nothing is chosen."""
+    return Until(run, bench) if run.manifest.get("until") else lambda index, progress: None
+
+
+def is_short(run: Run) -> bool:
+    """Whether a run ended without what it was to reach."""
+    try:
+        chosen = run.history.progress.chosen
+    except RecordError:
+        return False
+    return (
+        bool(chosen)
+        and chosen[-1]["stop"] not in ("", REACHED)
+        and bool((chosen[-1]["now"] or {}).get("asked"))
+    )
+
+
+# --- before the run ---------------------------------------------------------------------------------
+
+
+def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequence[str]) -> tuple[str, ...]:
+    """Keep the goals in the manifest; return how long a run for them will take, as a sentence. Raises `Refused`."""
+    if not texts:
+        return ()
+    manifest["until"] = [*texts]
+    learned = learned_for_run(
+        bench, Path(manifest["bench"]), manifest["created"], simulated=bool(manifest["dry_run"])
+    )
+    return (*learned.notes, outlook_in_words(outlook_until(plan, bench, texts, learned)))
+
+
+def outlook_until(
+    plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING
+) -> TimeOutlook:
+    """Return how long a run for these goals will take at the noise that the bench file states, or was learned."""
+    found = time_outlook(chooser_of(plan, bench, texts, learned))
+    return replace(found, learned=learned.known is not None and learned.known.noise is not None)
+
+
+def outlook_in_words(found: TimeOutlook) -> str:
+    """Say how long a run will take, and with how many settings: the median, and what 90 % of runs lie between."""
+    low_s, mid_s, high_s = found.quantiles(found.time_s)
+    low, mid, high = (round(n) for n in found.quantiles(found.settings))
+    reached = float(np.mean(found.reached))
+    noise = "was learned" if found.learned else "the bench file states"
+    words = (
+        f"at the noise that {noise}: {duration(mid_s)} (90 % of runs {duration(low_s)} to "
+        f"{duration(high_s)}) and {mid} settings ({low} to {high}), of the procedure's "
+        f"{duration(found.whole_s)} and {found.whole}"
+    )
+    if found.has_goal and reached < _NEARLY_ALL:
+        words += f"; reached in {100 * reached:.0f} % of runs, for then the procedure has no more points"
+    return words
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What is known of a plan on a bench before it is carried out."""
+
+    plan: Plan
+    bench: BenchFile
+    problems: tuple[str, ...]
+    unanswered: tuple[str, ...]
+    operator_actions: int
+    by_kind_s: Mapping[str, float]
+    by_mount_s: Mapping[str, float]
+    longest_s: float
+    runs: Path
+    needed_bytes: int
+    free_bytes: int
+    largest_signal_v: float
+    undetermined: Mapping[float | None, tuple[str, ...]]
+    outlook: Outlook | None
+    hints: tuple[str, ...]
+    until: TimeOutlook | None = None
+
+    @property
+    def expected_s(self) -> float:
+        """Expected time of the whole plan, s."""
+        return sum(self.by_kind_s.values())
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the findings as JSON values."""
+        return {
+            "procedure": self.plan.name,
+            "bench": self.bench.name,
+            "plan_hash": self.plan.hash,
+            "steps": len(self.plan.steps),
+            "counts": self.plan.counts(),
+            "operator_actions": self.operator_actions,
+            "expected_s": self.expected_s,
+            "expected_by_kind_s": dict(self.by_kind_s),
+            "expected_by_installation_s": dict(self.by_mount_s),
+            "longest_s": self.longest_s,
+            "disk": {
+                "folder": str(self.runs),
+                "needed_bytes": self.needed_bytes,
+                "free_bytes": self.free_bytes,
+            },
+            "largest_signal_v": self.largest_signal_v,
+            "not_determined": [
+                {"temperature_c": at_c, "coefficients": list(names)}
+                for at_c, names in self.undetermined.items()
+            ],
+            "observability": self.outlook and self.outlook.to_json(),
+            "problems": list(self.problems),
+            "dry_run_refuses": list(self.unanswered),
+            "hints": list(self.hints),
+            **({} if self.until is None else {"until": self.until.to_json()}),
+        }
+
+
+def look_ahead(procedure: str, bench: str | None, runs: Path, until: Sequence[str] = ()) -> Findings:
+    """Return what a procedure will do on a bench; `runs` is the folder whose disk is looked at.
+
+    `until` are the goals at which a run is to end. Raises `Refused` with the mistakes of both files, and
+    for goals that cannot be reached.
+    """
+    plan, file = _load(procedure, bench)
+    found = _find(plan, file, runs)
+    if not until:
+        return found
+    learned = learned_for_run(file, bench_path(bench), utc_now().isoformat(), simulated=None)
+    return replace(found, until=outlook_until(plan, file, until, learned))
+
+
+def _load(procedure: str, bench_name: str | None) -> tuple[Plan, BenchFile]:
+    plan: Plan | None = None
+    bench: BenchFile | None = None
+    mistakes = []
+    try:
+        plan = load_procedure(find_procedure(procedure)).expand()
+    except FileMistakes as error:
+        mistakes.append(str(error))
+    try:
+        bench = load_bench(bench_path(bench_name))
+    except FileMistakes as error:
+        mistakes.append(str(error))
+    if plan is None or bench is None:
+        raise Refused("\n".join(mistakes))
+    return plan, bench
+
+
+def _find(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
+    supply = bench.unit_under_test.supply
+    needed, free = disk_needed_bytes(plan), _free_bytes(runs)
+    problems = check(plan, bench)
+    if needed > free:
+        problems.append(
+            f"{runs}: a run needs about {disk_space(needed)} of disk, and {disk_space(free)} are free; make "
+            "room or choose another folder with --runs"
+        )
+    undetermined_at = {at_c: undetermined(force) for at_c, force in orientations(plan, bench).items()}
+    return Findings(
+        plan=plan,
+        bench=bench,
+        problems=tuple(problems),
+        unanswered=tuple(prompts_without_default(plan)),
+        operator_actions=operator_actions(plan, bench),
+        by_kind_s=plan.duration_by_kind_s(bench.line_frequency, supply),
+        by_mount_s=plan.duration_by_mount_s(bench.line_frequency, supply),
+        longest_s=plan.longest_duration_s(bench.line_frequency, supply),
+        runs=runs,
+        needed_bytes=needed,
+        free_bytes=free,
+        largest_signal_v=largest_signal_v(plan, bench),
+        undetermined=undetermined_at,
+        outlook=_outlook(plan, bench) if () in undetermined_at.values() else None,
+        hints=tuple(_hints(bench)),
+    )
+
+
+def _hints(bench: BenchFile) -> Iterator[str]:
+    """Say what is no mistake on a simulated bench, and likely one on a real one; and what certificates lack."""
+    yield from remarks(bench)
+    for meter in bench.instruments.voltmeters:
+        if is_serial(meter.resource) and meter.interface == "lan":
+            yield (
+                f"{meter.name}: {meter.resource} is a serial port, and a meter there takes commands only when put "
+                "into remote: say 'interface: rs232' (without it, it is taken for a meter of bench simulate)"
+            )
+
+
+def _outlook(plan: Plan, bench: BenchFile) -> Outlook | None:
+    """What a calibration from the plan leaves open; None where an installation is not known."""
+    settings = settings_of(plan)
+    installations = bench.installation_models()
+    if not {s.mount.installation for s in settings} <= set(installations):
+        return None
+    cost = Cost.of_plan(plan, bench.line_frequency)
+    return outlook(settings, ForwardModel(installations), bench.nominal_block(), cost)
+
+
+def _free_bytes(folder: Path) -> int:
+    """Return what is free on the disk of a folder, or of the nearest one above it that is there."""
+    path = folder.resolve()
+    while not path.exists():
+        path = path.parent
+    return shutil.disk_usage(path).free
+
+
+def disk_space(size: float) -> str:
+    """Return a size in bytes as a person says it."""
+    for unit in ("B", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.4g} GB"

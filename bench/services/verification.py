@@ -1,0 +1,349 @@
+"""From coefficients to a verdict at the verification points, by limit and rule of the bench or of who asks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from bench.base.arrays import Floats
+from bench.base.tables import as_html, as_text, table
+from bench.calibration import CalibrationError, LackOfFit, Verification, VerificationPoint
+from bench.calibration import verify as check
+from bench.calibration.budget.sources import hidden_sources
+from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere
+from bench.calibration.conformity import SIMPLE, DecisionRule, Population
+from bench.calibration.known import drifted
+from bench.calibration.verification import (
+    advice,
+    global_risk_in_words,
+    optional_probability,
+    verdict_line,
+)
+from bench.config.bench_file.file import BenchFile
+from bench.run.folder import Run
+from bench.run.manifest import VerdictAsked
+from bench.services.calibration import CalibrationResult, calibration_of
+from bench.services.coefficients import Coefficients, read_coefficients
+from bench.services.errors import Refused
+from bench.services.source import Source
+
+
+@dataclass(frozen=True)
+class Asked:
+    """How a verdict is to be found in place of what the bench file says; None leaves it to that.
+
+    `limit_g` of |Δg| in g, `rule` and its guard band in U, `population` (mean, standard deviation of Δg in g).
+    """
+
+    limit_g: float | None = None
+    rule: str | None = None
+    guard_band: float | None = None
+    population: tuple[float, float] | None = None
+
+    @classmethod
+    def of_run(cls, run: Run | None) -> Asked:
+        """Return what was asked for when a run was begun."""
+        recorded = {} if run is None else run.manifest.get("verdict", {})
+        return cls(recorded.get("limit_g"), recorded.get("rule"), recorded.get("guard_band"))
+
+    def recorded(self) -> VerdictAsked:
+        """Return what was asked for as a run keeps it, empty where nothing was. Raises `Refused`."""
+        self.check()
+        record: VerdictAsked = {}
+        if self.limit_g is not None:
+            record["limit_g"] = self.limit_g
+        if self.rule is not None:
+            record["rule"] = DecisionRule.of(self.rule).name
+        if self.guard_band is not None:
+            record["guard_band"] = self.guard_band
+        return record
+
+    def check(self) -> None:
+        """Refuse, all at once, a limit, a rule, a guard band or a population that is none. Raises `Refused`."""
+        mistakes = []
+        if self.limit_g is not None and not (math.isfinite(self.limit_g) and self.limit_g > 0):
+            mistakes.append(f"--limit {self.limit_g}: a limit is a positive number of g, such as 3e-4")
+        try:
+            DecisionRule.of(self.rule, self.guard_band)
+        except CalibrationError as mistake:
+            mistakes.append(str(mistake))
+        try:
+            if self.population is not None:
+                Population(*self.population)
+        except CalibrationError as mistake:
+            mistakes.append(str(mistake))
+        if mistakes:
+            raise Refused("; ".join(mistakes))
+
+
+NOTHING_ASKED: Final = Asked()
+NOBODY_STATED_ONE: Final = DecisionRule()
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """By what a verdict is found: limit of |Δg| in g, decision rule, and what is known of Δg over many blocks."""
+
+    limit_g: float
+    rule: DecisionRule
+    population: Population | None
+
+    def but(self, asked: Asked) -> Judgement:
+        """Return what was asked for, in place of what there is; a guard band goes with its own rule alone."""
+        rule = self.rule
+        if asked.guard_band is not None:
+            rule = DecisionRule.of(asked.rule or rule.name, asked.guard_band)
+        elif asked.rule is not None:
+            named = DecisionRule.of(asked.rule)
+            rule = rule if named.name == rule.name and rule.guard_band is not None else named
+        return Judgement(
+            self.limit_g if asked.limit_g is None else asked.limit_g,
+            rule,
+            self.population if asked.population is None else Population(*asked.population),
+        )
+
+
+def judgement_of(bench: BenchFile, *asked: Asked, default: DecisionRule = NOBODY_STATED_ONE) -> Judgement:
+    """Return by what a verdict is found: what was asked for, the last first, else what the bench file says.
+
+    Where neither names a rule it is the `default`. Raises `Refused` as `Asked.check`, and `CalibrationError` for a
+    guard band with a rule that has none.
+    """
+    stated, known = bench.verification, bench.verification.population
+    judgement = Judgement(
+        stated.limit,
+        DecisionRule.of(stated.rule, stated.guard_band) if stated.names_a_rule else default,
+        None if known is None else Population(known.mean, known.standard_deviation),
+    )
+    for one in asked:
+        one.check()
+        judgement = judgement.but(one)
+    return judgement
+
+
+def own_judgement(source: Source, *asked: Asked, agreed: DecisionRule | None = None) -> Judgement:
+    """Return by what the verdict on a source is found: of a run as it was begun, unless more is asked for.
+
+    `agreed` holds where neither the run nor its bench file names a rule.
+    """
+    return judgement_of(
+        source.bench, Asked.of_run(source.run), *asked, default=agreed or _default_of(source.run)
+    )
+
+
+def _default_of(run: Run | None) -> DecisionRule:
+    """Return the rule that held where nobody stated one when a run was begun; today's for what is no run."""
+    if run is None:
+        return NOBODY_STATED_ONE
+    recorded = run.manifest.get("default_rule")
+    return DecisionRule.of(SIMPLE) if recorded is None else DecisionRule.of_json(recorded)
+
+
+@dataclass(frozen=True)
+class VerificationResult:
+    """Δg at the verification points of a source against the limit.
+
+    `warnings` are on the coefficients taken, `said` is on their uncertainty, `fit` is that of coefficients of the
+    same readings.
+    """
+
+    source: Source
+    verification: Verification
+    warnings: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
+    fit: LackOfFit | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it passed, by coefficients of these readings that are accepted, or by those of another day."""
+        return self.passed and (self.fit is None or self.fit.accepted())
+
+    @property
+    def passed(self) -> bool:
+        """Whether every verification point was measured and accepted by the rule."""
+        return self.verification.passed
+
+    @property
+    def statement(self) -> str:
+        """pass, conditional pass, conditional fail, fail; inconclusive where U exceeds the limit; not complete."""
+        return str(self.verification.statement)
+
+    @property
+    def otherwise(self) -> bool:
+        """Whether it is judged otherwise than the run's own verdict is: another limit, rule or population."""
+        own, found = own_judgement(self.source), self.verification
+        return Judgement(found.limit_g, found.decision, found.population) != own
+
+    @property
+    def bench(self) -> str:
+        """Which bench file gave the limit, the rule, the errors of the stand and gravity; and why that one."""
+        return self.source.taken.words
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What the statements mean, what can be done, and what the rule does to all blocks."""
+        return (*advice(self.verification), *global_risk_in_words(self.verification))
+
+    @property
+    def _against(self) -> tuple[str, ...]:
+        """What speaks against coefficients that were found of the same readings."""
+        return () if self.fit is None else self.fit.diagnose(self.source.name)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of the result should know, a sentence each."""
+        return (*self.source.readings.notes, *self.source.readings.skipped, *self.sentences)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `bench verify --json` writes it."""
+        return {
+            **self.verification.to_json(),
+            "notes": [*self.sentences, *self._against],
+            "bench": self.source.taken.to_dict(),
+            "corrections": self.source.traced.to_json(),
+        }
+
+    def table(self) -> Table:
+        """Return Δg at each verification point, the statement, and the risk that the decision is wrong."""
+        result = self.verification
+        shown = table("verification point", *_headings(result))
+        for p in result.points:
+            cells = [
+                f"{p.angle_deg:.4f}°",
+                f"{p.delta_g * 1e6:+.1f} µg",
+                f"{p.u * 1e6:.1f} µg",
+                f"{p.U * 1e6:.1f} µg",
+            ]
+            if result.rule != SIMPLE:
+                cells.append(f"{p.accepted_up_to * 1e6:.1f} µg" if p.accepted_up_to > 0 else "nothing")
+            shown.add_row(f"pass {p.pass_number} point {p.point}", *cells, *_risks(p), str(p.statement))
+        return shown
+
+    def verdict(self) -> str:
+        """Return the verdict in one line, and why it is not accepted where the coefficients are not."""
+        return "; ".join((verdict_line(self.source.name, self.verification), *self._against))
+
+    def __repr__(self) -> str:
+        """Return the points and the verdict."""
+
+        def print_on(out: Console) -> None:
+            out.print(self.table())
+            for line in self._below():
+                out.print(line)
+
+        return as_text(print_on)
+
+    def _below(self) -> list[str]:
+        notes = (*self.warnings, *self.notes)
+        return [f"bench: {self.bench}", *(f"note: {note}" for note in notes), self.verdict()]
+
+    def _repr_html_(self) -> str:
+        return as_html([], self.table()) + as_html(self._below())
+
+
+def _headings(result: Verification) -> list[str]:
+    expanded = ">U (k=2)" if all(p.k == 2.0 for p in result.points) else ">U (95.45 %)"
+    accepted = [] if result.rule == SIMPLE else [">accepted up to"]
+    return [">angle", ">Δg", ">u", expanded, *accepted, ">false accept", ">false reject", "statement"]
+
+
+def _risks(point: VerificationPoint) -> tuple[str, str]:
+    """The risks of a false acceptance and of a false rejection at a point; a dash where it is neither."""
+    accepted, rejected = point.p_false_accept, point.p_false_reject
+    return optional_probability(accepted), optional_probability(rejected)
+
+
+def verification_of(
+    source: Source,
+    coefficients: Path | CalibrationResult | None = None,
+    asked: Asked = NOTHING_ASKED,
+    agreed: DecisionRule | None = None,
+) -> VerificationResult:
+    """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings.
+
+    By the rule `agreed` where neither the source nor who asks states one.
+    """
+    judgement = own_judgement(source, asked, agreed=agreed)
+    warnings: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
+    if coefficients is None:
+        coefficients = calibration_of(source)
+        source = coefficients.source
+    if isinstance(coefficients, CalibrationResult):
+        own = coefficients.calibration
+        if own.unit != source.readings.unit:
+            raise Refused(f"coefficients in {own.unit}/g, but the readings are in {source.readings.unit}")
+        taken = coefficients.as_coefficients()
+    else:
+        taken = read_coefficients(coefficients, source.readings.unit)
+        if taken.simulated and not source.simulated:
+            warnings = (f"the coefficients in {coefficients} were found on simulated instruments",)
+    if isinstance(coefficients, CalibrationResult) and coefficients.source is source:
+        joint = delta_g_contributions(
+            coefficients.calibration, source.readings, source.bench, source.model, source.traced.day,
+            source.known_meters,
+        )  # fmt: skip
+    else:
+        covariance, said = _of_another_day(taken, source)
+        joint = {"coefficients and readings": covariance}
+    verdict = check(
+        source.readings,
+        taken.block,
+        taken.covariance,
+        taken.noise,
+        judgement.limit_g,
+        taken.g_m_s2 / source.g_m_s2,
+        judgement.rule,
+        joint=joint,
+        population=judgement.population,
+    )
+    fit = None
+    if isinstance(coefficients, CalibrationResult) and coefficients.source is source:
+        fit = coefficients.calibration.lack_of_fit
+    return VerificationResult(source, verdict, warnings, said, fit)
+
+
+def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[str, ...]]:
+    """Return the covariance of |a| at the points for coefficients of another day, and what is to be said of it.
+
+    The errors of meters that are the same cancel on one day, and less the longer they may have drifted.
+    """
+    known = taken.covariance if taken.same_meters is None else taken.same_meters
+    part = drifted((taken.meters, _when(taken.made_at)), (source.meters, _when(source.made_at)))
+    joint, said = np.zeros((0, 0)), ""
+    for covariance, same, weight in ((known, True, 1.0 - part), (taken.covariance, False, part)):
+        found = delta_g_elsewhere(
+            taken.block, covariance, np.full(3, taken.noise), source.readings, source.bench, source.model,
+            same_meters=same, day=source.traced.day, block_terms=taken.block_terms,
+            meters=source.known_meters,
+        )  # fmt: skip
+        joint = weight * found if same else joint + weight * found
+    if taken.same_meters is None:
+        said = "the coefficients' uncertainty is that of an earlier version's result: of its readings alone"
+    elif part == 0.0:
+        said = "the same meters as at the calibration, on one day: their gain and offset cancel"
+    elif part < 1.0:
+        said = f"the same meters as at the calibration: {part:.0%} of their limits counts, for their drift"
+    else:
+        said = "not known to be the meters of the calibration: the gain and offset of both are in u"
+    if taken.g_m_s2 != source.g_m_s2:
+        there = {error.name: error.u for error in hidden_sources(source.bench, source.model)}.get(
+            "gravity", 0.0
+        )
+        joint = joint + taken.gravity_u**2 + there**2
+    return joint, (said,)
+
+
+def _when(text: str | None) -> datetime | None:
+    """Return a civil time as a result has it; None where there is none."""
+    try:
+        return datetime.fromisoformat(text or "").astimezone()
+    except ValueError:
+        return None

@@ -1,0 +1,354 @@
+"""The sources of a bench file: sizes, what each is common to, and what it must do to the coefficients."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from bench.calibration import CalibrationError
+from bench.calibration.budget.coefficients import make_budget
+from bench.calibration.budget.setup import make_setup
+from bench.calibration.budget.sources import bench_sources, stand_source
+from bench.config.bench_file.file import FileMistakes, load_bench
+from bench.config.devices.registry import devices
+from bench.config.devices.voltmeters import VoltmeterKind
+from bench.config.procedure.load import load_procedure
+from bench.config.shipped import find_bench, find_procedure
+from bench.model import CATALOGUE, AppliedEffect, Distribution
+from tests.support.budget_bench import COEFFICIENTS, paper_setup, stand
+from tests.support.paper_bench import ARCSEC, TRUTH, K
+
+PLAN = load_procedure(find_procedure("paper")).expand()
+SHIPPED = load_bench(find_bench("paper-stand"))
+K_PART = np.concatenate([np.ones(9), np.zeros(3)])
+
+
+def edited(tmp_path, **sections):
+    data = yaml.safe_load(Path(find_bench("paper-stand")).read_text(encoding="utf-8"))
+    for name, content in sections.items():
+        both = isinstance(data.get(name), dict) and isinstance(content, dict)
+        data[name] = {**data[name], **content} if both else content
+    file = tmp_path / "bench.yaml"
+    file.write_text(yaml.safe_dump(data, allow_unicode=True), encoding="utf-8")
+    return load_bench(file)
+
+
+def by_name(bench, setup=None):
+    return {s.name: s for s in bench_sources(bench, setup or make_setup(PLAN, bench))}
+
+
+def contribution(name, setup=None, **changes):
+    source = dataclasses.replace(by_name(SHIPPED)[name], **changes)
+    budget = make_budget(setup or paper_setup(), [*stand(), source])
+    return budget.contribution(name)
+
+
+# --- sizes ------------------------------------------------------------------------------------------
+
+
+def test_the_shipped_bench():
+    found = by_name(SHIPPED)
+    assert found["mounting_error"].u == pytest.approx(30 * ARCSEC)
+    assert found["voltmeter_error"].u == pytest.approx(1e-4)
+    # nobody states the third mounting angle: it is as large as the other
+    assert found["mounting_roll"].u == found["mounting_error"].u
+    # 20 ppm of the reading and 5 ppm of 10 V as rectangular limits
+    assert found["voltmeter_gain"].u == pytest.approx(20e-6 / np.sqrt(3))
+    assert found["voltmeter_offset"].u == pytest.approx(50e-6 / np.sqrt(3))
+    assert found["voltmeter_linearity"].u == pytest.approx((2e-6 * 2.18 + 1e-5) / np.sqrt(3))
+    assert found["gravity"].u == pytest.approx(5e-4 / SHIPPED.gravity_m_s2)
+    assert found["K2"].u == pytest.approx(30e-6)
+    assert [s.name for s in found.values() if s.prior] == [
+        "mounting_roll", "voltmeter_gain", "voltmeter_offset", "voltmeter_linearity", "gravity", "temperature",
+        "K2", "K3",
+    ]  # fmt: skip
+
+
+def test_the_meters_limits_are_those_of_their_manuals():
+    """34401A User's Guide, chapter 8; 34970A data sheet: the specification of 90 days."""
+    told = {d.name: VoltmeterKind.of(d.section.facts).accuracy for d in devices().of("voltmeter")}
+    assert told["agilent-34401a"][10.0] == told["keysight-34970a"][10.0] == (20e-6, 5e-6)
+    assert told["agilent-34401a"][1000.0] == (35e-6, 10e-6)
+    assert told["keysight-34970a"][300.0] == (35e-6, 20e-6)
+    assert told["keysight-34461a"][0.1] == (40e-6, 35e-6)
+
+
+def test_the_section_uncertainty_is_used(tmp_path):
+    bench = edited(
+        tmp_path,
+        uncertainty={
+            "voltmeter_gain": {"limit": "35 ppm", "distribution": "normal", "k": 1, "dof": 12},
+            "voltmeter_offset": {"limit": "20 uV", "distribution": "rectangular"},
+            "voltmeter_linearity": {"limit": "5 uV", "distribution": "rectangular"},
+            "gravity": {"limit": "2e-5 m/s^2", "distribution": "normal", "k": 2},
+            "temperature": {"limit": "0.1 K", "distribution": "rectangular"},
+            "bias_temperature_coefficient": {"limit": "15 ug/K", "distribution": "normal", "k": 1},
+            "scale_temperature_coefficient": {"limit": "120 ppm/K", "distribution": "normal", "k": 2},
+            "K2": {"limit": "10 ug/g^2", "distribution": "normal", "k": 2},
+            "K3": {"limit": "1 ug/g^3", "distribution": "normal", "k": 1},
+        },
+    )
+    found = by_name(bench)
+    u = {name: source.u for name, source in found.items()}
+    assert u["voltmeter_gain"] == pytest.approx(35e-6)
+    assert found["voltmeter_gain"].dof == 12
+    assert u["voltmeter_offset"] == pytest.approx(20e-6 / np.sqrt(3))
+    assert u["gravity"] == pytest.approx(1e-5 / bench.gravity_m_s2)
+    assert u["temperature"] == pytest.approx(0.1 / np.sqrt(3))
+    assert found["temperature"].factors == pytest.approx({"bias": 15e-6, "scale": 60e-6})
+    assert (u["K2"], u["K3"]) == pytest.approx((5e-6, 1e-6))
+    assert [name for name, source in found.items() if source.prior] == ["mounting_roll"]
+
+
+def test_a_stated_roll_and_offset_are_sources(tmp_path):
+    size = {"limit": "90 arcsec", "distribution": "normal", "k": 3}
+    found = by_name(edited(tmp_path, stand={"mounting_roll": size, "mounting_offset": {**size}}))
+    assert found["mounting_roll"].u == found["mounting_offset"].u == pytest.approx(30 * ARCSEC)
+
+
+@pytest.mark.parametrize(("written", "u"), [("9.81 m/s^2", 5e-3 / np.sqrt(3)), ("9.810512 m/s^2", 1e-5)])
+def test_gravity_as_a_number_is_known_to_its_last_digit(tmp_path, written, u):
+    bench = edited(tmp_path, gravity=written)
+    assert by_name(bench)["gravity"].u * bench.gravity_m_s2 == pytest.approx(u)
+
+
+def test_mistakes_in_the_section_are_told(tmp_path):
+    with pytest.raises(FileMistakes, match=r"voltmeter_gain.*k: how many"):
+        edited(tmp_path, uncertainty={"voltmeter_gain": {"limit": "35 ppm", "distribution": "normal"}})
+    wrong = {"bias_temperature_coefficient": {"limit": "30 ug", "distribution": "rectangular"}}
+    with pytest.raises(FileMistakes, match="temperature coefficient of the bias"):
+        edited(tmp_path, uncertainty=wrong)
+
+
+def test_an_installation_that_the_bench_lacks_is_told():
+    plan = load_procedure(find_procedure("remount-90")).expand()
+    bare = SHIPPED.model_copy(update={"installations": {}})
+    with pytest.raises(CalibrationError, match="no installation 1T90"):
+        make_setup(plan, bare)
+
+
+# --- what they do -----------------------------------------------------------------------------------
+
+
+def test_gain_scales_every_coefficient_of_its_channel():
+    """u of row i is u(gain) times the row: 35 ppm is 75 µV/g of Kyy."""
+    found = contribution("voltmeter_gain", distribution=Distribution(35e-6))
+    np.testing.assert_allclose(found.u, 35e-6 * np.abs(TRUTH), rtol=1e-9)
+    assert 1e6 * found.u[4] == pytest.approx(75, abs=0.5)
+    correlation = found.covariance / np.outer(found.u, found.u)
+    assert abs(correlation[0, 1]) == pytest.approx(1.0)
+    assert correlation[0, 4] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_one_meter_for_three_channels_correlates_them():
+    found = contribution("voltmeter_gain", paper_setup(meters=(0, 0, 0)))
+    assert found.covariance[0, 4] == pytest.approx(found.u[0] * found.u[4])
+
+
+def test_offset_goes_into_the_biases_alone():
+    found = contribution("voltmeter_offset", distribution=Distribution(50e-6))
+    np.testing.assert_allclose(found.u, 50e-6 * (1 - K_PART), atol=1e-15)
+
+
+def test_gravity_scales_k_and_no_bias():
+    found = contribution("gravity", distribution=Distribution(51e-6))
+    np.testing.assert_allclose(found.u, 51e-6 * np.abs(TRUTH) * K_PART, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["voltmeter_linearity", "voltmeter_gain", "temperature"])
+def test_what_passes_do_not_average(name):
+    source = by_name(SHIPPED)[name]
+    u = [make_budget(paper_setup(passes=p), [source], "closed-form").combined.u for p in (1, 4)]
+    np.testing.assert_allclose(u[1], u[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["setting_error", "voltmeter_error"])
+def test_what_passes_average(name):
+    source = stand_source(name, Distribution(1e-5))
+    u = [make_budget(paper_setup(passes=p), [source], "closed-form").combined.u for p in (1, 4)]
+    np.testing.assert_allclose(u[1], u[0] / 2, rtol=1e-6, atol=1e-12)
+
+
+def test_linearity_is_the_same_where_the_voltage_is():
+    """Points 1 and 9 are one orientation: (u1 + u9 - 2 u5)/4 has the error (2 e1 - 2 e5)/4, u/sqrt(2)."""
+    source = dataclasses.replace(by_name(SHIPPED)["voltmeter_linearity"], distribution=Distribution(1e-5))
+    found = make_budget(paper_setup(), [source], "closed-form").combined.u
+    assert found[COEFFICIENTS.index("Kxz")] == pytest.approx(1e-5 / np.sqrt(2))
+
+
+def test_a_temperature_that_stays_in_closed_form():
+    """A limit alone is an offset throughout the run: K goes with the scale and U0 with the bias, k uT |K|."""
+    source = by_name(SHIPPED)["temperature"]
+    found = make_budget(paper_setup(), [source], "closed-form").combined.u
+    scale, bias = source.factors["scale"] * source.u, source.factors["bias"] * source.u
+    assert found[COEFFICIENTS.index("Kxz")] == pytest.approx(scale * abs(K[0, 2]), rel=1e-6)
+    assert found[COEFFICIENTS.index("U0x")] == pytest.approx(bias * abs(K[0, 0]), rel=1e-3)
+
+
+def test_a_temperature_that_wanders_in_full(tmp_path):
+    """Its course has the covariance u^2 exp(-|t1 - t2|/1 h): the same sum without its shapes, written out."""
+    wanders = {"limit": "0.5 K", "distribution": "rectangular", "correlation_time": "1 h"}
+    source = by_name(edited(tmp_path, uncertainty={"temperature": wanders}))["temperature"]
+    assert source.common == "time"
+    assert "correlation time 1 h" in source.origin
+    setup = paper_setup()
+    budget = make_budget(setup, [source], "gls", stated={"voltmeter_error": 1e-4})
+    time_s = setup.conditions.elapsed_s
+    course = source.u**2 * np.exp(-np.abs(np.subtract.outer(time_s, time_s)) / 3600)
+    sensed = setup.force @ setup.block.K.T
+    for j, channel in ((0, 0), (4, 1), (9, 0), (11, 2)):
+        row = budget.gain[j, :, channel]
+        by_bias = row * setup.block.K[channel, channel] * source.factors["bias"]
+        by_scale = row * sensed[:, channel] * source.factors["scale"]
+        variance = by_bias @ course @ by_bias + by_scale @ course @ by_scale
+        assert budget.combined.u[j] == pytest.approx(np.sqrt(variance), rel=2e-2)
+
+
+SUPPLY = {
+    "rails": [
+        {
+            "name": "p15",
+            "output": "P25V",
+            "voltage": "15 V",
+            "tolerance": "0.3 V",
+            "current": {"minimum": "10 mA", "maximum": "60 mA"},
+            "limits": {"minimum": "0 V", "maximum": "18 V", "current": "0.2 A"},
+            "current_limit": "0.1 A",
+        }
+    ],
+    "warm_up": "30 min",
+    "when_unsafe": "off",
+}
+
+
+def fed(tmp_path, **uncertainty):
+    """The shipped bench whose block has a rail that a person switches."""
+    by_hand = {"driver": "manual-supply", "outputs": {"P25V": {"maximum": "25 V", "current": "1 A"}}}
+    instruments, unit = {"power_supply": by_hand}, {"supply": SUPPLY}
+    return edited(tmp_path, instruments=instruments, unit_under_test=unit, uncertainty=uncertainty)
+
+
+def test_what_feeds_the_block_is_two_lines(tmp_path):
+    """The tolerance of a rail is a rectangle; a bench that nobody says to switch the block has neither."""
+    assert not {"turn_on", "supply_voltage[p15]"} & by_name(SHIPPED).keys()
+    usual = by_name(fed(tmp_path))
+    assert usual["supply_voltage[p15]"].u == pytest.approx(0.3 / np.sqrt(3))
+    assert usual["supply_voltage[p15]"].prior
+    assert usual["turn_on"].prior
+    stated = {
+        "supply_voltage": {"limit": "20 mV", "distribution": "normal", "k": 2},
+        "bias_supply_coefficient": {"limit": "8 ug/V", "distribution": "normal", "k": 1},
+        "scale_supply_coefficient": {"limit": "30 ppm/V", "distribution": "normal", "k": 2},
+        "turn_on_repeatability": {"limit": "12 ug", "distribution": "normal", "k": 1},
+    }
+    found = by_name(fed(tmp_path, **stated))
+    assert found["supply_voltage[p15]"].u == pytest.approx(0.01)
+    assert found["supply_voltage[p15]"].factors == pytest.approx({"bias": 8e-6, "scale": 15e-6, "rail": 1})
+    assert found["turn_on"].u == pytest.approx(12e-6)
+    assert not found["turn_on"].prior
+
+
+def test_a_foundation_that_the_bench_file_states_is_a_line(tmp_path):
+    """60 arcsec a day with k = 2, along and across; `test_promise` holds it against what is signed."""
+    assert "foundation" not in by_name(SHIPPED)
+    stated = edited(tmp_path, stand={"foundation": {"limit": "60 arcsec", "distribution": "normal", "k": 2}})
+    source = by_name(stated)["foundation"]
+    assert source.shown == "30 arcsec a day"
+    u = make_budget(paper_setup(), [source], "closed-form").combined.u
+    assert u[COEFFICIENTS.index("Kyx")] > 1e-6
+
+
+def test_a_correlation_time_is_more_than_nothing(tmp_path):
+    never = {"limit": "0.5 K", "distribution": "rectangular", "correlation_time": "0 s"}
+    with pytest.raises(FileMistakes, match=r"correlation_time: expected more than nothing"):
+        edited(tmp_path, uncertainty={"temperature": never})
+
+
+def test_a_supply_that_stays_in_closed_form(tmp_path):
+    """K goes with the scale and U0 with the bias, and a turn-on with the bias alone."""
+    found = by_name(fed(tmp_path))
+    source = found["supply_voltage[p15]"]
+    u = make_budget(paper_setup(), [source], "closed-form").combined.u
+    scale, bias = source.factors["scale"] * source.u, source.factors["bias"] * source.u
+    assert u[COEFFICIENTS.index("Kxz")] == pytest.approx(scale * abs(K[0, 2]), rel=1e-6)
+    assert u[COEFFICIENTS.index("U0x")] == pytest.approx(bias * abs(K[0, 0]), rel=1e-3)
+    u = make_budget(paper_setup(), [found["turn_on"]], "closed-form").combined.u
+    assert u[COEFFICIENTS.index("U0y")] == pytest.approx(20e-6 * abs(K[1, 1]), rel=1e-9)
+    assert u[COEFFICIENTS.index("Kyy")] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(("coefficient", "part"), [("Kxx", 0.7071), ("Kyy", 0.75), ("Kzz", 0.75)])
+def test_a_cubic_term_leaks_into_the_scale_factors(coefficient, part):
+    """a_x^3 gives 0.7071 K3 to Kxx by (7), a_y^3 and a_z^3 give 0.75 K3."""
+    source = by_name(SHIPPED)["K3"]
+    found = make_budget(paper_setup(), [source], "closed-form").combined.u
+    i = COEFFICIENTS.index(coefficient)
+    assert found[i] == pytest.approx(part * source.u * abs(TRUTH[i]), rel=1e-4)
+
+
+def test_mounting_roll_costs_what_it_is_known_to_cost():
+    """90 arcsec in installation 1 put 934 µV/g into Kyz, in 2 into Kzy; no estimator sees it."""
+    roll = stand_source("mounting_roll", Distribution(90 * ARCSEC))
+    for estimator in ("closed-form", "gls"):
+        found = make_budget(paper_setup(), [*stand(), roll], estimator).contribution("mounting_roll")
+        assert 1e6 * found.u[COEFFICIENTS.index("Kyz")] == pytest.approx(934, rel=0.01)
+        assert 1e6 * found.u[COEFFICIENTS.index("Kzy")] == pytest.approx(934, rel=0.01)
+
+
+def test_effects_of_a_model_are_sources_and_replace_the_prior_of_their_channels():
+    known = AppliedEffect(
+        CATALOGUE["quadratic_nonlinearity"],
+        {"K2": np.array([60e-6, 0, 0])},
+        ("x",),
+        {"K2": np.array([4e-6, 0, 0])},
+    )
+    setup = paper_setup(effects=[known])
+    found = by_name(SHIPPED, setup)
+    assert found["K2"].channels == ("y", "z")
+    source = found["quadratic_nonlinearity.K2[x]"]
+    assert (source.u, source.prior, source.shown) == (pytest.approx(4e-6), False, "4 ug/g^2")
+    # (7): level of x at 0 and 180 degrees sees a_x = 0, so nothing; least squares spreads it on U0x
+    closed = make_budget(setup, [source], "closed-form").combined.u
+    assert np.max(closed) < 1e-3 * 4e-6 * abs(K[0, 0])
+    plain = make_budget(setup, [source], "least-squares").combined.u
+    assert plain[COEFFICIENTS.index("U0x")] > 0.3 * 4e-6 * abs(K[0, 0])
+
+
+def test_an_effect_without_u_has_the_plausible_size_and_says_so():
+    known = AppliedEffect(CATALOGUE["quadratic_nonlinearity"], {"K2": np.full(3, 60e-6)})
+    source = by_name(SHIPPED, paper_setup(effects=[known]))["quadratic_nonlinearity.K2[y]"]
+    assert source.prior
+    assert "states no u" in source.origin
+    assert source.u == pytest.approx(CATALOGUE["quadratic_nonlinearity"].parameters[0].plausible)
+
+
+def test_effective_dof_of_a_source_that_dominates():
+    """Kyx of the closed form is alpha3 almost alone: its ten degrees of freedom, more by what else there is."""
+    budget = make_budget(paper_setup(), stand(dof={"mounting_error": 10}), "closed-form")
+    kyx = COEFFICIENTS.index("Kyx")
+    share = (budget.contribution("mounting_error").u[kyx] / budget.combined.u[kyx]) ** 2
+    assert budget.combined.dof[kyx] == pytest.approx(10 / share**2)
+    assert 10 < budget.combined.dof[kyx] < 11
+    assert np.isinf(budget.combined.dof[COEFFICIENTS.index("Kxy")])
+    told = budget.to_json()["coefficients"]
+    assert told["Kxy"]["dof"] is None
+    assert 2.25 < told["Kyx"]["k"] < 2.28  # t for 10 degrees of freedom: 2.28
+
+
+def test_gls_weighs_by_what_is_stated():
+    """A bench that states a tenth of its mounting error makes GLS worse than one that states it right."""
+    setup = paper_setup()
+    believed = {"axis_tilt": 5 * ARCSEC, "zero_offset": 5 * ARCSEC, "mounting_error": 9 * ARCSEC,
+                "setting_error": 10 * ARCSEC, "voltmeter_error": 3e-4}  # fmt: skip
+    right = make_budget(setup, stand()).combined.u
+    wrong = make_budget(setup, stand(), stated=believed).combined.u
+    assert wrong[COEFFICIENTS.index("Kyx")] > 1.5 * right[COEFFICIENTS.index("Kyx")]
+
+
+def test_unknown_estimator_and_too_few_orientations_are_refused():
+    with pytest.raises(CalibrationError, match="there are gls, closed-form, least-squares"):
+        make_budget(paper_setup(), stand(), "kalman")
+    with pytest.raises(CalibrationError, match="every test point; missing"):
+        make_budget(paper_setup(points=8), stand(), "closed-form")

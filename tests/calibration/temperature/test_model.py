@@ -1,0 +1,216 @@
+"""The temperature model against known truth: values, uncertainty, degrees, hysteresis, what it refuses."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from bench.calibration import CalibrationError, calibrate
+from bench.calibration.temperature.estimate import temperature_model
+from bench.model.block import COEFFICIENTS, Block
+from tests.support.paper_bench import STAND_U, TRUTH
+from tests.support.thermal_bench import MODEL, REFERENCE_C, coefficients, simulate, truth
+
+SEED = 2026
+GRID_C = np.linspace(-19.0, 54.0, 30)
+SIZES = ((0.0,), (3e-7, 1e-8, 3e-10), (1e-5, 2e-8, 1e-9), (1e-4, 5e-7, 3e-9))
+
+
+@cache
+def several(count=8):
+    """Errors over u (runs, temperatures, 12) of simulated runs, their p, p of curve and of hysteresis."""
+    errors, tests = [], []
+    for k in range(count):
+        rng = np.random.default_rng([SEED, k])
+        polynomials = truth(rng, SIZES[k % len(SIZES)])
+        model = temperature_model([simulate(rng, polynomials)], MODEL, STAND_U, 9.81)
+        error = model.coefficients(GRID_C) - coefficients(polynomials, GRID_C)
+        u = np.sqrt([np.diag(model.covariance_at(t)) for t in GRID_C])
+        errors.append(error / u)
+        tests.append((model.fitted.p, model.curve.p, model.hysteresis.p))
+    return np.array(errors), np.array(tests)
+
+
+@pytest.mark.slow
+def test_the_uncertainty_is_honest_over_the_whole_range():
+    """Runs are independent, the coefficients of one nearly so, and 30 temperatures worth about two values."""
+    z2 = several()[0] ** 2
+    values = z2.shape[0] * 12 * 2
+    # mean of squares of normal numbers: 1 with standard deviation sqrt(2/values); 4 of these, and 10 % for choice
+    assert 0.75 - 4 * np.sqrt(2 / values) < z2.mean() < 1.1 + 4 * np.sqrt(2 / values)
+
+
+@pytest.mark.slow
+def test_no_lack_of_fit_and_no_hysteresis_is_found_where_there_is_none():
+    """24 tests; one below 0.001 has a chance of 2 %."""
+    assert several()[1].min() > 0.001
+
+
+def test_without_dependence_on_temperature_the_degrees_are_low():
+    rng = np.random.default_rng([SEED, 50])
+    model = temperature_model([simulate(rng, TRUTH[:, None])], MODEL, STAND_U, 9.81)
+    # at 5 % a term each: twelve coefficients with four terms have 2.4 too many on average
+    assert model.degrees.sum() <= 12
+    assert np.count_nonzero(model.degrees == 0) >= 6
+    # a coefficient taken as constant is less sure far from the middle: it may have a slope after all
+    middle, end = (np.sqrt(np.diag(model.covariance_at(t))) for t in (20.0, 55.0))
+    assert np.all(end[model.degrees == 0] > middle[model.degrees == 0])
+
+
+def test_each_coefficient_gets_the_degree_that_it_has():
+    rng = np.random.default_rng([SEED, 51])
+    polynomials = np.column_stack([TRUTH, np.zeros((12, 3))])
+    degrees = np.arange(12) % 4
+    for j, degree in enumerate(degrees):
+        polynomials[j, 1 : degree + 1] = np.array([1e-4, 3e-6, 1e-7])[:degree]
+    model = temperature_model([simulate(rng, polynomials)], MODEL, STAND_U, 9.81)
+    assert np.all(model.degrees >= degrees)
+    assert np.count_nonzero(model.degrees > degrees) <= 4
+    assert np.all(model.values[np.arange(5) > model.degrees[:, None]] == 0.0)
+
+
+def test_hysteresis_is_found_with_its_size_and_enters_the_uncertainty():
+    rng = np.random.default_rng([SEED, 52])
+    size = np.zeros(12)
+    size[[0, 10]] = 3e-4, -4e-4
+    polynomials = truth(rng)
+    model = temperature_model([simulate(rng, polynomials, hysteresis=size)], MODEL, STAND_U, 9.81)
+    found = model.hysteresis
+    assert found.p < 1e-6
+    assert {COEFFICIENTS[j] for j in np.flatnonzero(found.p_each < 1e-3)} == {"Kxx", "U0y"}
+    assert np.max(np.abs(found.size - size) / found.u) < 4.0
+    u = np.sqrt(np.diag(model.covariance_at(10.0)))
+    assert u[[0, 10]] == pytest.approx([1.5e-4, 2e-4], rel=0.15)
+    for side in (0.5, -0.5):
+        off = model.coefficients(GRID_C) - coefficients(polynomials, GRID_C) - side * size
+        assert np.sqrt(np.mean((off[:, [0, 10]] / u[[0, 10]]) ** 2)) < 1.5
+
+
+def test_plateaus_stand_by_themselves_and_agree_with_a_calibration_of_one():
+    """A plateau alone, the stand's angles common, is at least as good as its calibration from its rows only."""
+    rng = np.random.default_rng([SEED, 53])
+    polynomials = truth(rng)
+    readings = simulate(rng, polynomials, drift_k=0.0)
+    model = temperature_model([readings], MODEL, STAND_U, 9.81)
+    assert [(round(p.temperature_c), p.branch) for p in model.plateaus] == [
+        (-20, -1), (0, 1), (0, -1), (23, 1), (23, 0), (23, -1), (40, 1), (40, -1), (55, 1),
+    ]  # fmt: skip
+    cold = model.plateaus[0]
+    alone = calibrate(readings.select(readings.series == 7), MODEL, STAND_U, 9.81)
+    joint = np.hypot(alone.u, cold.u)
+    assert np.max(np.abs(cold.value - alone.block.vector) / joint) < 3.0
+    # less would be the noise's own scatter: a plateau has 54 settings
+    assert np.all(cold.u < 1.25 * alone.u)
+    assert np.max(np.abs(cold.value - coefficients(polynomials, -20.0)) / cold.u) < 4.0
+
+
+def test_temperatures_that_alone_determine_nothing_do_so_together():
+    rng = np.random.default_rng([SEED, 54])
+    polynomials = truth(rng, (1e-4, 5e-7))
+    cycles = {"cycle": (23.0, 0.0, -20.0, 50.0), "cycle_2": (30.0, 10.0, -10.0, 40.0)}
+    model = temperature_model([simulate(rng, polynomials, **cycles)], MODEL, STAND_U, 9.81)
+    assert all(plateau.value is None for plateau in model.plateaus)
+    assert model.curve is None
+    assert any("alone do not determine" in note for note in model.notes)
+    error = model.coefficients(20.0) - coefficients(polynomials, 20.0)
+    assert np.max(np.abs(error) / np.sqrt(np.diag(model.covariance_at(20.0)))) < 4.0
+
+
+def test_compensated_signals_give_the_acceleration_within_its_uncertainty():
+    rng = np.random.default_rng([SEED, 55])
+    polynomials = truth(rng)
+    model = temperature_model([simulate(rng, polynomials)], MODEL, STAND_U, 9.81)
+    force = rng.normal(size=(40, 3))
+    temperature = rng.uniform(-20.0, 55.0, 40)
+    at = [Block.from_vector(row) for row in coefficients(polynomials, temperature)]
+    signal = np.array([block.output(a[None])[0] for block, a in zip(at, force, strict=True)])
+    found = model.compensate(signal, temperature)
+    assert found.u.shape == (40, 3)
+    # one model, many points: about 24 independent errors; 4 sigma of their mean square
+    assert np.mean((found.specific_force - force) ** 2 / found.u**2) < 1.0 + 4.0 * np.sqrt(2.0 / 24.0)
+    assert np.max(np.abs(found.specific_force - force)) < 3e-4
+    # a thermometer that is off by 1 K: the difference of the model at T and T + 1 K
+    by_kelvin = model.compensate(signal, temperature, u_temperature_k=1.0)
+    moved = model.compensate(signal[:1], temperature[0] + 0.5).specific_force
+    moved = moved - model.compensate(signal[:1], temperature[0] - 0.5).specific_force
+    alone = np.sqrt(by_kelvin.u[:1] ** 2 - found.u[:1] ** 2)
+    assert alone == pytest.approx(np.abs(moved), rel=1e-3, abs=1e-9)
+
+
+def test_the_covariance_of_an_acceleration_is_that_of_drawn_coefficients():
+    rng = np.random.default_rng([SEED, 56])
+    model = temperature_model([simulate(rng, truth(rng))], MODEL, STAND_U, 9.81)
+    signal = model.block(40.0).output(np.array([[0.3, -0.5, 0.8]]))
+    drawn = rng.multivariate_normal(model.coefficients(40.0), model.covariance_at(40.0), 4000)
+    forces = np.array([Block.from_vector(c).specific_force(signal)[0] for c in drawn])
+    # a standard deviation of 4000 draws is good to 1.1 %
+    assert model.compensate(signal, 40.0).u[0] == pytest.approx(forces.std(axis=0), rel=0.05)
+
+
+def test_beyond_the_measured_range_there_is_no_number():
+    rng = np.random.default_rng([SEED, 57])
+    model = temperature_model([simulate(rng, truth(rng))], MODEL, STAND_U, 9.81)
+    assert model.outside(np.array([-30.0, 20.0, np.nan, 70.0])).tolist() == [True, False, True, True]
+    with pytest.raises(CalibrationError, match=r"70 °C is outside .* -2\d\.\d to 5\d\.\d °C"):
+        model.compensate(np.ones((1, 3)), 70.0)
+
+
+def test_files_of_one_temperature_each_make_one_model():
+    rng = np.random.default_rng([SEED, 58])
+    polynomials = truth(rng, (1e-4,))
+    tables = [simulate(rng, polynomials, cycle=(t,)) for t in (-10.0, 23.0, 50.0)]
+    model = temperature_model(tables, MODEL, STAND_U, 9.81, degree=1)
+    assert model.readings == 3 * 54
+    assert [plateau.branch for plateau in model.plateaus] == [0, 0, 0]
+    assert model.hysteresis is None
+    assert any("hysteresis is not known" in note for note in model.notes)
+    error = model.coefficients(GRID_C[8:25]) - coefficients(polynomials, GRID_C[8:25])
+    u = np.sqrt([np.diag(model.covariance_at(t)) for t in GRID_C[8:25]])
+    assert np.max(np.abs(error) / u) < 5.0
+
+
+def test_a_few_readings_without_repeats_take_the_noise_from_all_residuals():
+    rng = np.random.default_rng([SEED, 59])
+    polynomials = truth(rng, (1e-4,))
+    readings = simulate(rng, polynomials, cycle=(23.0, 50.0, 0.0), passes=1)
+    model = temperature_model([readings], MODEL, STAND_U, 9.81)
+    assert model.noise.source == "residuals"
+    assert model.noise.reading == pytest.approx(1e-4, rel=0.4)
+    error = model.coefficients(20.0) - coefficients(polynomials, 20.0)
+    assert np.max(np.abs(error) / np.sqrt(np.diag(model.covariance_at(20.0)))) < 4.5
+
+
+def one_temperature(rng):
+    return simulate(rng, TRUTH[:, None], cycle=(REFERENCE_C,))
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments", "told"),
+    [
+        (one_temperature, {}, r"which is one temperature; measure at three or more"),
+        (lambda rng: simulate(rng, truth(rng)), {"reference_c": 90.0}, r"90 °C, lies outside .*--reference"),
+        (
+            lambda rng: simulate(rng, truth(rng)),
+            {"degree": 5},
+            r"polynomials of degree 5 .*state a lower degree",
+        ),
+        (
+            lambda rng: simulate(rng, truth(rng), cycle=(0.0, 23.0), cycle_2=(23.0,)),
+            {},
+            r"2 temperatures \(0, 23 °C\) .*do not determine a dependence on temperature",
+        ),
+    ],
+)
+def test_what_cannot_be_modelled_is_refused_with_the_way_out(make, arguments, told):
+    readings = make(np.random.default_rng([SEED, 60]))
+    with pytest.raises(CalibrationError, match=told):
+        temperature_model([readings], MODEL, STAND_U, 9.81, **arguments)
+
+
+def test_a_reading_without_temperature_is_named():
+    readings = simulate(np.random.default_rng([SEED, 61]), TRUTH[:, None])
+    readings.temperature_c[[4, 9]] = np.nan
+    with pytest.raises(
+        CalibrationError, match=r"2 readings have no temperature_c .*series 1, pass 1, point 5"
+    ):
+        temperature_model([readings], MODEL, STAND_U, 9.81)

@@ -1,0 +1,324 @@
+"""Generalised least squares against a textbook computation with the whole covariance of the readings.
+
+The reference is written here from the definition: V = R + J P J^T over all signals, estimate
+(A^T V^-1 A)^-1 A^T V^-1 y, with derivatives of the independent geometry of support/paper_bench.py.
+"""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from bench.calibration import CalibrationError, Noise, calibrate
+from bench.calibration.design import make_problem
+from bench.calibration.noise import Residuals, noise_from_residuals
+from bench.model import Block, ForwardModel
+from bench.model.block import COEFFICIENTS
+from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.readings.table import make_readings
+from tests.support.paper_bench import (
+    ARCSEC,
+    SETTING_U_RAD,
+    STAND_U,
+    TRUTH,
+    U0,
+    K,
+    design,
+    simulate,
+    specific_force,
+)
+
+MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
+NAMES = ("axis_tilt", "zero_offset", "mounting_error")
+
+
+class Dense:
+    """The paper's procedure linearised with full matrices; unknowns K, U0 and three angles an installation."""
+
+    def __init__(self, readings):
+        self.installation = readings.installation.tolist()
+        self.second = readings.installation == "2"
+        self.phi = readings.angle_rad
+        self.y = readings.signal.ravel()
+
+    def force(self, stand, setting=0.0):
+        a = np.where(self.second[None, :], stand[3:, None], stand[:3, None])
+        return specific_force(self.installation, self.phi, *a, setting)
+
+    def signals(self, theta, stand, setting=0.0):
+        return (self.force(stand, setting) @ theta[:9].reshape(3, 3).T + theta[9:]).ravel()
+
+    def by_coefficients(self, stand):
+        force = self.force(stand)
+        return np.concatenate([np.hstack([np.kron(np.eye(3), a), np.eye(3)]) for a in force])
+
+    def by_stand(self, theta, stand, h=1e-5):
+        steps = h * np.eye(6)
+        pairs = [self.signals(theta, stand + s) - self.signals(theta, stand - s) for s in steps]
+        return np.stack(pairs, axis=1) / (2 * h)
+
+    def noise_covariance(self, theta, stand, sizes, h=1e-5):
+        slope = (self.signals(theta, stand, h) - self.signals(theta, stand, -h)) / (2 * h)
+        covariance = np.eye(len(self.y)) * sizes.reading**2
+        for i in range(0, len(self.y), 3):
+            d = slope[i : i + 3]
+            covariance[i : i + 3, i : i + 3] += sizes.setting_rad**2 * np.outer(d, d)
+        return covariance
+
+    def estimate(self, sizes, prior_u, rounds=8):
+        theta, stand = TRUTH.copy(), np.zeros(6)
+        prior = np.diag(np.tile(prior_u, 2) ** 2)
+        for _ in range(rounds):
+            A, J = self.by_coefficients(stand), self.by_stand(theta, stand)
+            V = self.noise_covariance(theta, stand, sizes) + J @ prior @ J.T
+            left = self.y - self.signals(theta, stand) + J @ stand
+            weighted = np.linalg.solve(V, np.column_stack([A, left]))
+            normal = A.T @ weighted[:, :12]
+            step = np.linalg.solve(normal, A.T @ weighted[:, 12])
+            theta = theta + step
+            stand = prior @ J.T @ np.linalg.solve(V, left - A @ step)
+        self.theta, self.stand, self.covariance = theta, stand, np.linalg.inv(normal)
+
+
+@pytest.mark.parametrize("passes", [1, 3])
+def test_value_and_covariance_are_those_of_the_textbook(passes):
+    readings = simulate(np.random.default_rng(21), 1e-4, passes=passes)
+    sizes = Noise(1e-4, SETTING_U_RAD, np.inf, "given")
+    result = calibrate(readings, MODEL, STAND_U, 9.81, noise=sizes)
+    dense = Dense(readings)
+    dense.estimate(sizes, [STAND_U[n] for n in NAMES])
+    np.testing.assert_allclose(result.block.vector, dense.theta, atol=1e-10, rtol=0)
+    np.testing.assert_allclose(result.u, np.sqrt(np.diag(dense.covariance)), rtol=1e-7)
+    scale = np.outer(result.u, result.u)
+    np.testing.assert_allclose(result.covariance / scale, dense.covariance / scale, atol=1e-7)
+    angles = [result.stand[f"alpha{a}[{m}]"].value * ARCSEC for m in "12" for a in (1, 2, 3)]
+    np.testing.assert_allclose(angles, dense.stand, atol=1e-10)
+    # the lack of fit against noise that is given is chi-square of the marginal residual
+    J = dense.by_stand(dense.theta, dense.stand)
+    V = dense.noise_covariance(dense.theta, dense.stand, sizes)
+    V += J @ np.diag(np.tile([STAND_U[n] for n in NAMES], 2) ** 2) @ J.T
+    left = dense.y - dense.signals(dense.theta, dense.stand) + J @ dense.stand
+    assert result.lack_of_fit.chi2 == pytest.approx(left @ np.linalg.solve(V, left), rel=1e-6)
+    assert result.lack_of_fit.dof == 3 * len(readings) - 12
+
+
+# uV/g and uV for alpha1 = alpha2 = 5", alpha3 = 90", alpha4 = 10", dU = 0.3 mV (1 sigma), three passes,
+# computed with symbolic derivatives and confirmed by Monte Carlo with exact rotations to 1 %
+BUDGET = {
+    "closed-form": [63.8, 124.2, 124.2, 476.0, 82.4, 106.1, 477.0, 106.1, 82.4, 79.5, 76.2, 76.2],
+    "least-squares": [62.5, 97.2, 97.2, 471.8, 79.0, 78.1, 472.7, 78.1, 79.0, 42.6, 49.2, 49.3],
+    "gls": [62.1, 97.1, 97.1, 103.5, 78.9, 78.0, 103.6, 78.0, 78.9, 42.6, 47.5, 47.5],
+}
+
+
+@pytest.mark.parametrize("estimator", BUDGET)
+def test_budget_of_the_papers_limits_as_one_sigma(estimator):
+    limits = {"axis_tilt": 5 * ARCSEC, "zero_offset": 5 * ARCSEC, "mounting_error": 90 * ARCSEC}
+    sizes = Noise(3e-4, 10 * ARCSEC, np.inf, "given")
+    result = calibrate(simulate(None, 0.0), MODEL, limits, 9.81, estimator, sizes)
+    np.testing.assert_allclose(result.u * 1e6, BUDGET[estimator], rtol=0.02)
+
+
+def test_what_the_data_tell_of_the_stand():
+    """alpha1 is seen; alpha2 and alpha3 only as the sums a2[1] + a3[2] and a3[1] + a2[2]."""
+    loose = dict.fromkeys(NAMES, 600 * ARCSEC)
+    sizes = Noise(3e-4, 10 * ARCSEC, np.inf, "given")
+    stand = calibrate(simulate(None, 0.0), MODEL, loose, 9.81, noise=sizes).stand
+    assert {e.unit for e in stand.values()} == {"arcsec"}
+    for m in "12":
+        assert stand[f"alpha1[{m}]"].u == pytest.approx(8.1, rel=0.05)
+        # half the difference stays as loose as its prior
+        assert stand[f"alpha2[{m}]"].u == pytest.approx(600 / np.sqrt(2), rel=0.02)
+        assert stand[f"alpha3[{m}]"].u == pytest.approx(600 / np.sqrt(2), rel=0.02)
+
+
+@pytest.mark.parametrize("alpha3_arcsec", [0.0, 90.0])
+def test_what_only_the_limits_hold_is_named(alpha3_arcsec):
+    """The two null vectors join alpha2 and alpha3; alpha1 is not in them, however large alpha3 is."""
+    installation, pass_number, point, phi = design()
+    signal = specific_force(installation, phi, alpha3=alpha3_arcsec * ARCSEC) @ K.T + U0
+    signal += np.random.default_rng(3).normal(0, 2e-5, signal.shape)
+    readings = make_readings(installation, pass_number, point, phi, signal)
+    sentences = calibrate(readings, MODEL, STAND_U, 9.81).assumed
+    gauge = next(s for s in sentences if "common turn" in s)
+    assert gauge.startswith("alpha2[1], alpha3[1], alpha2[2], alpha3[2]: ")
+    roll = next(s for s in sentences if "alpha5" in s)
+    # an arcsecond of alpha5 in installation 1 puts -Kyy arcsec into Kyz
+    assert f"1 arcsec in installation 1 puts {-2.139892e6 * ARCSEC:+.3g} µV/g into Kyz" in roll
+    assert any("voltmeter gain" in s for s in sentences)
+    assert any("gravity" in s for s in sentences)
+
+
+def test_mounting_roll_with_a_size_becomes_an_unknown_and_a_budget_line():
+    """alpha5 goes whole into Kyz (installation 1) and Kzy (installation 2): 90 arcsec are 934 uV/g."""
+    sizes = Noise(3e-4, 10 * ARCSEC, np.inf, "given")
+    with_roll = STAND_U | {"mounting_roll": 90 * ARCSEC}
+    readings = simulate(None, 0.0)
+    result = calibrate(readings, MODEL, with_roll, 9.81, noise=sizes)
+    added = result.covariance - calibrate(readings, MODEL, STAND_U, 9.81, noise=sizes).covariance
+    u = dict(zip(COEFFICIENTS, np.sqrt(np.maximum(np.diag(added), 0)), strict=True))
+    assert u["Kyz"] == pytest.approx(934e-6, rel=0.01)
+    assert u["Kzy"] == pytest.approx(934e-6, rel=0.01)
+    assert "alpha5[1]" in result.stand
+    assert not any("assumed zero" in s for s in result.assumed)
+
+
+@pytest.mark.parametrize(
+    ("label", "lost", "axis"), [("1", "Kxy, Kyy, Kzy", "y"), ("2", "Kxz, Kyz, Kzz", "z")]
+)
+def test_one_installation_only_names_what_it_cannot_give(label, lost, axis):
+    readings = simulate(np.random.default_rng(1), 1e-4)
+    with pytest.raises(CalibrationError, match=f"27 readings do not determine {lost}: .*along {axis} hardly"):
+        calibrate(readings.select(readings.installation == label), MODEL, STAND_U, 9.81)
+
+
+def test_a_single_reading_is_refused():
+    readings = simulate(None, 0.0)
+    with pytest.raises(CalibrationError, match="1 readings do not determine"):
+        calibrate(readings.select(np.arange(54) == 0), MODEL, STAND_U, 9.81)
+
+
+def test_no_oriented_reading_is_refused():
+    readings = simulate(None, 0.0)
+    readings.installation[:] = "S"
+    with pytest.raises(CalibrationError, match="no reading in an installation of known orientation"):
+        calibrate(readings, MODEL, STAND_U, 9.81)
+
+
+def test_an_installation_that_the_bench_lacks_is_refused():
+    readings = simulate(None, 0.0)
+    readings.installation[3] = "7"
+    with pytest.raises(CalibrationError, match=r"installation 7 is not known \(known are 1, 2\)"):
+        calibrate(readings, MODEL, STAND_U, 9.81)
+
+
+@pytest.mark.parametrize("column", ["signal", "angle_rad"])
+def test_a_reading_that_is_not_a_number_is_named(column):
+    readings = simulate(None, 0.0)
+    getattr(readings, column)[12] = np.nan
+    with pytest.raises(CalibrationError, match="installation 1, pass 2, point 4 has a signal or an angle"):
+        calibrate(readings, MODEL, STAND_U, 9.81)
+
+
+def test_an_unknown_estimator_is_refused():
+    with pytest.raises(CalibrationError, match="'best'; there are gls, closed-form, least-squares, robust"):
+        calibrate(simulate(None, 0.0), MODEL, STAND_U, 9.81, "best")
+
+
+def test_missing_points_are_no_obstacle():
+    """Ten readings less; the truth within four u of every coefficient."""
+    readings = simulate(np.random.default_rng(4), 1e-4)
+    keep = np.ones(54, dtype=bool)
+    keep[[0, 3, 8, 11, 20, 27, 30, 41, 50, 53]] = False
+    result = calibrate(readings.select(keep), MODEL, STAND_U, 9.81)
+    assert np.all(np.abs(result.block.vector - TRUTH) < 4 * result.u)
+    assert len(result.fitted) == 44
+
+
+def test_angles_read_back_are_used():
+    """Known deviations of half a degree cost nothing: the model knows where the head stood."""
+    rng = np.random.default_rng(6)
+    installation, pass_number, point, phi = design()
+    read_back = phi + rng.uniform(-1, 1, len(phi)) * np.radians(0.5)
+    signal = specific_force(installation, read_back) @ K.T + U0
+    readings = make_readings(installation, pass_number, point, read_back, signal)
+    np.testing.assert_allclose(calibrate(readings, MODEL, STAND_U, 9.81).block.vector, TRUTH, atol=1e-9)
+
+
+@pytest.mark.parametrize("scale", [1e6, 1e-3])
+def test_any_unit(scale):
+    """Counts instead of volts: everything in the unit scales, nothing else changes."""
+    readings = simulate(np.random.default_rng(9), 1e-4)
+    volts = calibrate(readings, MODEL, STAND_U, 9.81)
+    counts = make_readings(
+        readings.installation.tolist(),
+        readings.pass_number.tolist(),
+        readings.point.tolist(),
+        readings.angle_rad,
+        readings.signal * scale,
+        unit="counts",
+    )
+    result = calibrate(counts, MODEL, STAND_U, 9.81)
+    assert result.unit == "counts"
+    np.testing.assert_allclose(result.block.vector, volts.block.vector * scale, atol=1e-7 * scale)
+    np.testing.assert_allclose(result.u, volts.u * scale, rtol=1e-3)
+    assert result.noise.reading == pytest.approx(volts.noise.reading * scale, rel=1e-3)
+    assert result.lack_of_fit.p == pytest.approx(volts.lack_of_fit.p, abs=1e-3)
+
+
+def test_the_order_of_the_readings_does_not_matter():
+    readings = simulate(np.random.default_rng(10), 1e-4)
+    order = np.random.default_rng(1).permutation(54)
+    once = calibrate(readings, MODEL, STAND_U, 9.81)
+    shuffled = make_readings(
+        readings.installation[order].tolist(),
+        readings.pass_number[order].tolist(),
+        readings.point[order].tolist(),
+        readings.angle_rad[order],
+        readings.signal[order],
+    )
+    again = calibrate(shuffled, MODEL, STAND_U, 9.81)
+    np.testing.assert_allclose(again.block.vector, once.block.vector, atol=1e-9)
+    np.testing.assert_allclose(again.u, once.u, rtol=1e-4)
+
+
+def test_verification_rows_are_not_fitted():
+    """Three nonsense rows of kind V, S and R change nothing."""
+    readings = simulate(np.random.default_rng(12), 1e-4)
+    more = make_readings(
+        [*readings.installation.tolist(), "V", "S", "R"],
+        [*readings.pass_number.tolist(), 1, 1, 1],
+        [*readings.point.tolist(), 1, 1, 1],
+        np.concatenate([readings.angle_rad, [0.0, np.nan, np.nan]]),
+        np.concatenate([readings.signal, np.full((3, 3), 7.0)]),
+    )
+    once, again = (calibrate(table, MODEL, STAND_U, 9.81) for table in (readings, more))
+    np.testing.assert_array_equal(again.block.vector, once.block.vector)
+
+
+def test_result_as_promised():
+    """The JSON form: names, order, nulls for what is not there, the unit of the stand's angles."""
+    result = calibrate(simulate(np.random.default_rng(2), 1e-4), MODEL, STAND_U, 9.81).to_json()
+    assert result["estimator"] == "gls"
+    assert result["order"] == list(COEFFICIENTS)
+    assert result["coefficients"]["Kyx"]["u"] == pytest.approx(np.sqrt(result["covariance"][3][3]))
+    assert result["readings"] == {"used": 54, "skipped": 0}
+    assert result["model"] == "paper"
+    assert result["g_m_s2"] == 9.81
+    assert 0 <= result["residual"]["p"] <= 1
+    assert result["noise"]["source"] == "repeats"
+    single = calibrate(simulate(np.random.default_rng(2), 1e-4, passes=1), MODEL, STAND_U, 9.81).to_json()
+    assert single["residual"]["p"] is None
+    assert single["noise"]["source"] == "residuals"
+
+
+def test_noise_from_residuals_maximises_the_restricted_likelihood():
+    """One pass: no other pair of sizes is likelier by the full Gaussian formula, searched by Nelder-Mead.
+
+    -2 log L = log|V| + log|A^T V^-1 A| + r^T V^-1 r, V of all 54 signals written out.
+    """
+    readings = simulate(np.random.default_rng(31), 2e-5, passes=1)
+    dense = Dense(readings)
+    prior = np.diag(np.tile([STAND_U[n] for n in NAMES], 2) ** 2)
+    A, J = dense.by_coefficients(np.zeros(6)), dense.by_stand(TRUTH, np.zeros(6))
+
+    def minus_two_log_likelihood(log_sizes):
+        sizes = Noise(*np.exp(log_sizes), np.inf, "trial")
+        V = dense.noise_covariance(TRUTH, np.zeros(6), sizes) + J @ prior @ J.T
+        Vi = np.linalg.inv(V)
+        normal = A.T @ Vi @ A
+        r = dense.y - A @ np.linalg.solve(normal, A.T @ Vi @ dense.y)
+        return np.linalg.slogdet(V)[1] + np.linalg.slogdet(normal)[1] + r @ Vi @ r
+
+    best = minimize(minus_two_log_likelihood, np.log([1.5e-4, 3e-5]), method="Nelder-Mead",
+                    options={"xatol": 1e-5, "fatol": 1e-8})  # fmt: skip
+    problem = make_problem(MODEL, readings.conditions(), STAND_U)
+    block = Block(K, U0)
+    design_matrix = problem.jacobian(block, np.zeros(6))
+    design_matrix[:, :, 12:] *= problem.prior_u
+    left = readings.signal - problem.predict(block, np.zeros(6))
+    columns = np.concatenate([design_matrix, left[:, :, None]], axis=2)
+    of = Residuals(columns, problem.slope(block, np.zeros(6)), np.zeros((0, 19)), 12)
+    ours = noise_from_residuals(of, 1e-9)
+    np.testing.assert_allclose(np.log([ours.reading, ours.setting_rad]), best.x, atol=2e-3)
+    fitted = calibrate(readings, MODEL, STAND_U, 9.81).noise
+    np.testing.assert_allclose(np.log([fitted.reading, fitted.setting_rad]), best.x, atol=2e-3)

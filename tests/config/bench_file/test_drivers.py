@@ -1,0 +1,297 @@
+"""Bench files: the section of each driver, faults of the simulation, what the check of a plan must know."""
+
+import math
+
+import pytest
+
+from bench.base.forms import FileMistakes
+from bench.config.bench_file.file import load_bench
+from bench.config.devices.registry import devices
+from bench.config.shipped import find_bench
+
+
+@pytest.fixture
+def mistakes(tmp_path):
+    """Return the mistakes of a text as "line place: text"."""
+
+    def of(text):
+        path = tmp_path / "bench.yaml"
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(FileMistakes) as error:
+            load_bench(path)
+        return [f"{m.line} {m.place}: {m.text}" for m in error.value.mistakes]
+
+    return of
+
+
+@pytest.fixture
+def shipped_text():
+    return lambda name: find_bench(name).read_text(encoding="utf-8")
+
+
+def listings():
+    """How the drivers there are stand in a sentence: one more in the tree stands in it, too."""
+    *voltmeters, last = (device.name for device in devices().of("voltmeter"))
+    return {
+        "voltmeters": f"{', '.join(voltmeters)} or {last}",
+        "simulated_heads": " or ".join(d.name for d in devices().of("head") if d.simulated),
+        "simulated_chambers": " or ".join(d.name for d in devices().of("chamber") if d.simulated),
+    }
+
+
+def test_shipped_drivers_are_listed_in_their_old_order():
+    told = listings()
+    assert told["voltmeters"].startswith("agilent-34401a, ")
+    assert told["simulated_heads"].split(" or ")[0] == "zaber"
+    assert told["simulated_chambers"].split(" or ")[:3] == ["espec", "watlow-f4t", "thermotron"]
+
+
+@pytest.mark.parametrize(
+    ("bench", "old", "new", "line", "text"),
+    [
+        (
+            "bench-lan",
+            "driver: keysight-34461a, channels: [y]",
+            "driver: keysight-34416a, channels: [y]",
+            "channels: [y]",
+            "instruments.voltmeters[2].driver: expected {voltmeters}, got 'keysight-34416a'; did you mean "
+            "'keysight-34461a'?",
+        ),
+        ("bench-motorised", "    driver: zaber\n", "", "  head:", "instruments.head: 'driver' is missing"),
+        (
+            "bench-motorised",
+            "tolerance: 5 arcsec ",
+            "tolerence: 5 arcsec ",
+            "tolerance: 5 arcsec ",
+            "unknown key 'tolerence'; did you mean 'tolerance'? known: allow_homing, axis, backoff, "
+            "certificate, checksums, device, driver, identity, maximum, minimum, name, resolution, resource, "
+            "serial, settle, speed, steps_per_degree, timeout, tolerance",
+        ),
+        (
+            "bench-lan",
+            "channels: [x], ",
+            "channels: [x], serial: {baud_rate: 9600}, ",
+            "channels: [x], ",
+            "instruments.voltmeters[1].serial: unknown key 'serial'",
+        ),
+        (
+            "bench-rs232",
+            '/dev/ttyUSB2::INSTR"\n      interface: rs232\n      serial: {baud_rate: 9600',
+            '/dev/ttyUSB2::INSTR"\n      interface: rs232\n      serial: {baud_rate: 115200',
+            "",
+            "voltmeters[3].serial: expected one of 300, 600, 1200, 2400, 4800, 9600, got '115200'",
+        ),
+        (
+            "bench-multiplexer",
+            "x: 101, y: 102",
+            "x: 121, y: 102",
+            "inputs:",
+            "a 34901A has the channels 101 to 120, 201 to 220, 301 to 320, not 121",
+        ),
+        ("bench-multiplexer", "y: 102", "y: 101", "inputs:", "two signals are on one channel"),
+        ("bench-multiplexer", ", z: 103", "", "voltmeters:", "no voltmeter carries channel z"),
+        (
+            "bench-multiplexer",
+            "channel_delay: 0.1 s",
+            "channel_delay: 61 s",
+            "channel_delay:",
+            "a channel delay is 0 to 60 s in steps of 1 ms, not 61 s",
+        ),
+        (
+            "bench-prologix",
+            '192.0.2.10/23"',
+            '192.0.2.10:1234/22"',
+            "channels: [y]",
+            "voltmeters[2].resource: 'prologix://192.0.2.10:1234/22' is voltmeter 1 already",
+        ),
+        (
+            "bench-prologix",
+            '192.0.2.10/23"',
+            '192.0.2.10/31"',
+            "channels: [y]",
+            "expected a VISA resource such as 'GPIB0::22::INSTR'",
+        ),
+        (
+            "bench-motorised",
+            'ASRL/dev/ttyUSB0::INSTR"  ',
+            'GPIB0::5::INSTR"  ',
+            'resource: "ASRL/dev/ttyUSB0',
+            "head.resource: expected a VISA resource such as 'ASRL/dev/ttyUSB0::INSTR' or 'TCPIP0",
+        ),
+        (
+            "bench-motorised",
+            "192.0.2.50::10001",
+            "192.0.2.24::5025",
+            "192.0.2.50",
+            "chamber.resource: 'TCPIP0::192.0.2.24::5025::SOCKET' is voltmeter 3 already",
+        ),
+        (
+            "bench-motorised",
+            "speed: 10 deg/s",
+            "speed: 10 deg",
+            "speed:",
+            "a speed of turning such as '10 deg/s'",
+        ),
+        ("bench-motorised", "speed: 10 deg/s", "speed: 0 deg/s", "speed:", "expected more than nothing"),
+        (
+            "bench-motorised",
+            "maximum: 365 deg\n",
+            "maximum: -4 deg\n",
+            "  head:",
+            "between the minimum -5° and the maximum -4° no angle can be come to from both sides",
+        ),
+        (
+            "bench-motorised",
+            "backoff: 1 deg",
+            "backoff: 4 arcsec",
+            "  head:",
+            "must back off by more than its tolerance",
+        ),
+        (
+            "bench-motorised",
+            "steps_per_degree: 4266.6667",
+            "steps_per_degree: 10",
+            "  head:",
+            "a step of the head is coarser than its tolerance",
+        ),
+        (
+            "bench-motorised",
+            "steps_per_degree: 4266.6667",
+            "steps_per_degree: 1e7",
+            "  head:",
+            "more steps than its controller counts",
+        ),
+        (
+            "bench-motorised",
+            "    axis: 1\n",
+            "    axis: 1\n    identity: (\n",
+            "",
+            "head.identity: expected a pattern (a regular expression), got '('",
+        ),
+        (
+            "bench-rate-table",
+            "tolerance: 5 arcsec ",
+            "tolerance: 1 arcsec ",
+            "tolerance: 5 arcsec",
+            "finer than the 0.0005° (1.8 arcsec)",
+        ),
+        (
+            "bench-rate-table",
+            "    output: 1\n    safe: 23 degC\n",
+            "    safe: 90 degC\n",
+            "  chamber:",
+            "the safe setting of 90 °C is outside -40 to 85 °C",
+        ),
+        (
+            "bench-gpib",
+            "safe: 23 degC",
+            "safe: 99 degC",
+            "  chamber:",
+            "the safe setting of 99 °C is outside",
+        ),
+        (
+            "bench-motorised",
+            "    driver: espec\n",
+            "    driver: espec\n    name: head\n",
+            "instruments:\n",
+            "two instruments are called 'head'",
+        ),
+        (
+            "bench-motorised",
+            "rate: 4 K/min",
+            "rate: 0 K/min",
+            "rate: 4 K/min",
+            "no chamber is at once where it is sent",
+        ),
+        (
+            "bench-rate-table",
+            "verification:\n",
+            "simulation: {chamber: {sensor_noise: 0.1 K}}\nverification:\n",
+            "verification:\n",
+            "the simulated watlow-f4t has a sensor without noise",
+        ),
+        (
+            "bench-rate-table",
+            "verification:\n",
+            "simulation: {head: {homed: no}}\nverification:\n",
+            "verification:\n",
+            "only a head of the driver {simulated_heads} has this, and this bench has acutrol; leave it out",
+        ),
+        (
+            "bench-lan",
+            "verification:\n",
+            "simulation: {chamber: {lag: 1 min}}\nverification:\n",
+            "verification:\n",
+            "only a chamber of the driver {simulated_chambers} has this, and this bench has none",
+        ),
+    ],
+)
+def test_each_mistake_in_a_drivers_section_is_one_sentence(
+    mistakes, shipped_text, bench, old, new, line, text
+):
+    before = shipped_text(bench)
+    assert before.count(old) == 1
+    for listed, names in listings().items():
+        text = text.replace(f"{{{listed}}}", names)
+    told = mistakes(before.replace(old, new))
+    assert len(told) == 1, told
+    assert text in told[0]
+    if line:
+        number = before[: before.index(line)].count("\n") + 1
+        assert told[0].startswith(f"{number} "), told
+
+
+@pytest.mark.parametrize(
+    ("fault", "text"),
+    [
+        ("{fault: cutt, at: 1}", "got 'cutt'; did you mean 'cut'?"),
+        ("{fault: cut}", "say when 'cut' strikes: give probability, at or matching"),
+        ("{fault: cut, at: 1, probability: 0.5}", "with a probability or at an exchange, not both"),
+        ("{fault: cut, probability: 2}", "expected 1.0 or less, got '2'"),
+        ("{fault: cut, at: 0}", "expected 1 or more, got '0'"),
+        ("{fault: cut, at: 1, seconds: 3}", "'cut' has no duration; leave out seconds"),
+        ("{fault: late, at: 1}", "'late' needs seconds: by how much"),
+        ("{fault: hang, at: 1, error: -113}", "'hang' puts no error into the queue"),
+        ("{fault: cut, at: 1, instrument: voltmeter.q}", "unknown instrument 'voltmeter.q'; did you mean"),
+        ("{fault: drop, at: 1, instrument: head}", "unknown instrument 'head'; known: voltmeter.x"),
+    ],
+)
+def test_each_mistake_in_a_fault_is_one_sentence(mistakes, shipped_text, fault, text):
+    paper_text = shipped_text("paper-stand")
+    line = paper_text.count("\n") + 1
+    (told,) = mistakes(f"{paper_text}  faults: [{fault}]\n")
+    assert text in told
+    assert told.startswith(f"{line} simulation.faults[1]")
+
+
+def test_what_the_check_of_a_plan_needs_to_know(tmp_path, shipped_text):
+    degree = math.pi / 180.0
+    motorised = load_bench(find_bench("bench-motorised"))
+    assert motorised.head_limits_rad == pytest.approx((-5 * degree, 365 * degree))
+    assert motorised.head_backoff_rad == pytest.approx(degree)
+    assert motorised.chamber_limits_c == (-40.0, 85.0)
+    assert motorised.block_limits_c == (-40.0, 60.0)
+    assert motorised.most_samples == 10_000
+    by_hand = load_bench(find_bench("bench-lan"))
+    assert (by_hand.head_limits_rad, by_hand.head_backoff_rad, by_hand.chamber_limits_c) == (None, 0.0, None)
+    multiplexer = load_bench(find_bench("bench-multiplexer"))
+    assert multiplexer.most_samples == 16_666
+    assert multiplexer.nplc_supported == (0.02, 0.2, 1.0, 2.0, 10.0, 20.0, 100.0, 200.0)
+    assert multiplexer.instruments.voltmeters[0].name == "voltmeter.xyz"
+    path = tmp_path / "b.yaml"
+    third = "- {driver: keysight-34970a, inputs: {z: 201}, resource: 'GPIB0::9::INSTR'}"
+    lines = shipped_text("bench-lan").splitlines()
+    path.write_text("\n".join(f"    {third}" if "channels: [z]" in line else line for line in lines))
+    mixed = load_bench(path)
+    assert mixed.nplc_supported == (0.02, 0.2, 1.0, 10.0, 100.0)
+    assert mixed.most_samples == 10_000
+
+
+def test_signals_of_a_multiplexer_stand_in_the_order_of_its_scan(tmp_path, shipped_text):
+    path = tmp_path / "b.yaml"
+    path.write_text(
+        shipped_text("bench-multiplexer").replace("x: 101, y: 102, z: 103", "x: 203, y: 102, z: 201")
+    )
+    (meter,) = load_bench(path).instruments.voltmeters
+    assert meter.channels == ("y", "z", "x")
+    assert meter.name == "voltmeter.yzx"

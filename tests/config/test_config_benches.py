@@ -1,0 +1,103 @@
+"""The shipped bench files: each passes a dry run, and none asks for more than its instruments leave to a person."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.config.bench_file.file import load_bench
+from bench.config.procedure.check import operator_actions
+from bench.config.procedure.load import load_procedure
+from bench.config.procedure.plan import Mount, Turn
+from bench.config.shipped import find_bench, find_procedure
+from bench.run.folder import Run
+
+BENCHES = sorted(path.stem for path in find_bench("paper-stand").parent.glob("*.yaml"))
+MOTORISED = ("bench-motorised", "bench-rate-table", "bench-stand")
+
+
+def test_there_is_one_of_each_kind():
+    drivers = set()
+    wires = set()
+    for name in BENCHES:
+        sections = load_bench(find_bench(name)).instruments
+        drivers |= {meter.driver for meter in sections.voltmeters} | {sections.head.driver}
+        drivers.add(sections.chamber.driver if sections.chamber else "no chamber")
+        wires |= {meter.resource.partition(":")[0].rstrip("0123456789") for meter in sections.voltmeters}
+    assert drivers == {
+        "agilent-34401a", "keysight-34461a", "keysight-34970a", "manual-head", "zaber", "acutrol",
+        "manual-chamber", "espec", "watlow-f4t", "no chamber",
+    }  # fmt: skip
+    assert wires == {"GPIB", "prologix", "TCPIP", "ASRL/dev/ttyUSB"}
+
+
+@pytest.fixture
+def without_drawing(monkeypatch):
+    """The report is the same on every bench, and drawing it takes ten times as long as the run."""
+    monkeypatch.setattr("bench.results.render_report", lambda _content: "")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BENCHES)
+def test_a_dry_run_passes(bench, without_drawing, name):
+    run = ("run", "quick", "--dry-run", "--bench", name, "--name", "run", "--seed", "3")
+    status, out, err = bench(*run, "--rule", "simple")
+    assert (status, err) == (0, "")
+    assert "run: PASSED" in out or "run: CONDITIONAL PASS, accepted" in out
+    run = Run(Path("runs/run"))
+    readings = run.readings()
+    plan = load_procedure(find_procedure("quick")).plan
+    targets = [step.target_rad for step in plan.steps if isinstance(step, Turn)]
+    file = load_bench(find_bench(name))
+    assert np.abs(readings.angle_rad - targets).max() <= file.instruments.head.tolerance
+    # 5 σ: of 9 coefficients on 8 benches none is outside by chance.
+    result = json.loads(Path("runs/run/calibrate.json").read_text())["coefficients"]
+    truth = file.simulated_block()
+    for row, i in enumerate("xyz"):
+        for column, j in enumerate("xyz"):
+            told = result[f"K{i}{j}"]
+            assert abs(told["value"] - truth.K[row, column]) < 5 * told["u"]
+
+
+@pytest.mark.parametrize("name", BENCHES)
+def test_the_operator_turns_by_hand_only_where_there_is_no_motor(name):
+    file = load_bench(find_bench(name))
+    plan = load_procedure(find_procedure("quick")).plan
+    turns = sum(isinstance(step, Turn) for step in plan.steps)
+    mounts = sum(isinstance(step, Mount) for step in plan.steps)
+    by_hand = file.instruments.chamber is not None and file.instruments.chamber.driver == "manual-chamber"
+    wanted = mounts * (2 if by_hand else 1) + (0 if name in MOTORISED else turns)
+    assert operator_actions(plan, file) == wanted
+
+
+@pytest.mark.parametrize("name", MOTORISED)
+def test_every_turn_of_the_shipped_procedures_lies_within_the_motorised_heads(name):
+    file = load_bench(find_bench(name))
+    lowest, highest = file.head_limits_rad
+    for path in find_procedure("paper").parent.glob("*.yaml"):
+        for step in load_procedure(path).plan.steps:
+            if isinstance(step, Turn):
+                begins = step.target_rad - step.direction * file.head_backoff_rad
+                assert lowest <= min(begins, step.target_rad)
+                assert max(begins, step.target_rad) <= highest
+
+
+def test_installations_are_the_same_on_every_bench():
+    models = [load_bench(find_bench(name)).installation_models() for name in BENCHES]
+    assert {tuple(known) for known in models} == {("1", "2", "V", "1T90", "2T90", "1T180", "2T180")}
+    for known in models:
+        for label, installation in known.items():
+            assert np.array_equal(installation.block_from_platform, models[0][label].block_from_platform)
+
+
+@pytest.mark.slow
+def test_the_wire_does_not_show_in_the_readings(bench, without_drawing):
+    """Three 34401A over GPIB, a GPIB adapter and serial ports: the same seed, the same world, the same values."""
+    told = []
+    for name in ("bench-gpib", "bench-prologix", "bench-rs232"):
+        bench("run", "quick", "--dry-run", "--bench", name, "--name", name)
+        readings = Run(Path("runs") / name).readings()
+        told.append(np.column_stack([readings.signal, readings.angle_rad]))
+    assert np.array_equal(told[0], told[1])
+    assert np.array_equal(told[0], told[2])

@@ -1,0 +1,149 @@
+"""The evidence of candidates against the textbook's dense computation."""
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+from bench.diagnosis.evidence import KNOWN_SIZE, SIZES, Search
+from bench.diagnosis.noise_grid import RATIOS
+from bench.model import CATALOGUE, AppliedEffect, ForwardModel
+from tests.support.diagnosis_bench import MODEL, NOISE_V, PSI, paper_run, set_up
+from tests.support.paper_bench import SETTING_U_RAD, K
+
+
+@pytest.fixture(scope="module")
+def one():
+    return set_up(paper_run(np.random.default_rng(11), K2=(0.0, 40e-6, 0.0)))
+
+
+def dense_log_likelihood(one, extra, ratio_rad_per_v):
+    """ln of the restricted likelihood with the noise size integrated out, by whole matrices."""
+    linear = one.linear
+    n = len(linear)
+    setting = linear.setting[:, None] == linear.setting[None, :]
+    same = setting & (linear.setting >= 0)[:, None]
+    covariance = np.eye(n) + np.where(same, np.outer(linear.slope, linear.slope), 0.0) * ratio_rad_per_v**2
+    for part in (linear.random / NOISE_V, *extra):
+        covariance = covariance + part @ part.T
+    inverse = np.linalg.inv(covariance)
+    x = linear.fixed
+    normal = x.T @ inverse @ x
+    projected = inverse - inverse @ x @ np.linalg.solve(normal, x.T @ inverse)
+    chi2 = linear.response @ projected @ linear.response / NOISE_V**2
+    return (
+        -0.5 * np.linalg.slogdet(covariance)[1]
+        - 0.5 * np.linalg.slogdet(normal)[1]
+        - 0.5 * (n - 12) * np.log(chi2)
+    )
+
+
+def test_the_likelihood_of_a_slip_is_that_with_three_angles_in_the_likeliest_pass(one):
+    """The ratio of dense likelihoods, the angles as free as what the model has, without the price of that."""
+    grid, slips = one.whitened.grid, one.candidates.slips
+    assert len(slips) == 8  # of two installations with three passes: from two of them on, and two alone
+    scaled = one.candidates.columns / NOISE_V
+    base = zip(grid.log_prior, grid.setting_rad_per_noise, grid.white, strict=True)
+    null, of_slip = [], []
+    for prior, ratio, white in base:
+        null.append(prior + dense_log_likelihood(one, [], ratio))
+        each = [KNOWN_SIZE * scaled[:, list(one.candidates.variants[i].columns)] for i in slips]
+        price = [0.5 * np.linalg.slogdet(np.eye(3) + (white @ c).T @ (white @ c))[1] for c in each]
+        with_one = [dense_log_likelihood(one, [c], ratio) for c in each]
+        of_slip.append([prior + one + p for one, p in zip(with_one, price, strict=True)])
+    expected = float(np.max(logsumexp(of_slip, axis=0) - logsumexp(null)))
+    data = one.whitened.reduce(one.linear.response[:, None])
+    found = Search.beside(one.whitened, ()).likelihood_ratio(data, slips)
+    assert found[0] == pytest.approx(expected, abs=1e-5)
+
+
+def dense_evidence(one, columns, known=()):
+    grid = one.whitened.grid
+    scaled = one.candidates.columns / NOISE_V
+    base = [KNOWN_SIZE * scaled[:, list(known)]] if known else []
+    null, variant = [], []
+    for prior, ratio in zip(grid.log_prior, grid.setting_rad_per_noise, strict=True):
+        null.append(prior + dense_log_likelihood(one, base, ratio))
+        for size, weight in zip(SIZES, (0.6, 0.28, 0.12), strict=True):
+            extra = [*base, size * scaled[:, list(columns)]]
+            variant.append(prior + np.log(weight) + dense_log_likelihood(one, extra, ratio))
+    return logsumexp(variant) - logsumexp(null)
+
+
+@pytest.mark.parametrize("family", ["quadratic_nonlinearity", "head_eccentricity", "warm_up", "step"])
+def test_evidence_is_the_ratio_of_marginal_likelihoods(one, family):
+    search = Search.beside(one.whitened, ())
+    scores = search.score(one.whitened.reduce(one.linear.response[:, None]))
+    number = next(i for i, v in enumerate(one.candidates.variants) if v.family == family)
+    expected = dense_evidence(one, one.candidates.variants[number].columns)
+    assert scores.variants[number, 0] == pytest.approx(expected, abs=1e-5)
+
+
+def test_evidence_beside_a_known_effect(one):
+    known = next(v for v in one.candidates.variants if v.family == "head_eccentricity").columns
+    search = Search.beside(one.whitened, known)
+    scores = search.score(one.whitened.reduce(one.linear.response[:, None]))
+    number = next(i for i, v in enumerate(one.candidates.variants) if v.family == "quadratic_nonlinearity")
+    expected = dense_evidence(one, one.candidates.variants[number].columns, known)
+    assert scores.variants[number, 0] == pytest.approx(expected, abs=1e-5)
+
+
+def test_many_data_sets_are_scored_as_each_alone(one):
+    rng = np.random.default_rng(12)
+    responses = one.linear.response[:, None] + rng.normal(0.0, NOISE_V, (len(one.linear), 3))
+    search = Search.beside(one.whitened, ())
+    together = search.score(one.whitened.reduce(responses)).variants
+    for i in range(3):
+        alone = search.score(one.whitened.reduce(responses[:, [i]])).variants[:, 0]
+        np.testing.assert_allclose(together[:, i], alone, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "known",
+    [(), (AppliedEffect(CATALOGUE["bias_drift"], {"rate": np.full(3, 1e-9)}),)],
+    ids=["paper", "with an effect"],
+)
+def test_products_of_whitened_columns_are_those_of_the_dense_covariance(known):
+    """C^T (R^-1 - R^-1 X (X^T R^-1 X)^-1 X^T R^-1) C, also where an effect of the model reaches all mountings."""
+    one = set_up(paper_run(None), ForwardModel(MODEL.installations, known))
+    grid, linear = one.whitened.grid, one.linear
+    columns = one.candidates.columns[:, ::20] / NOISE_V
+    for ratio in (0, len(RATIOS) // 2, len(RATIOS) - 1):
+        same = (linear.setting[:, None] == linear.setting[None, :]) & (linear.setting >= 0)[:, None]
+        slope = grid.setting_rad_per_noise[ratio] * linear.slope
+        covariance = np.eye(len(linear)) + np.where(same, np.outer(slope, slope), 0.0)
+        covariance += (linear.random / NOISE_V) @ (linear.random / NOISE_V).T
+        inverse = np.linalg.inv(covariance)
+        weighed = inverse @ linear.fixed
+        inside = np.linalg.inv(linear.fixed.T @ weighed)
+        expected = columns.T @ (inverse - weighed @ inside @ weighed.T) @ columns
+        white = grid.white[ratio] @ columns
+        scale = np.sqrt(np.diag(columns.T @ inverse @ columns))
+        scale = np.outer(scale, scale)
+        np.testing.assert_allclose((white.T @ white) / scale, expected / scale, atol=1e-6)
+        likelihood = -0.5 * (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(inside)[1])
+        assert grid.log_det[ratio] == pytest.approx(likelihood, abs=1e-6)
+    assert grid.freedom == len(linear) - 12
+
+
+def test_rows_of_the_modulus_follow_from_geometry():
+    """K2 of channel x adds K_xx K2 a_x^2 to U_x; the modulus changes by a_x/|a| times K2 a_x^2, to first order."""
+    one = set_up(paper_run(None))
+    number = next(
+        i
+        for i, v in enumerate(one.candidates.variants)
+        if v.family == "quadratic_nonlinearity" and v.channels == (0,)
+    )
+    column = one.candidates.columns[:, one.candidates.variants[number].columns[0]]
+    modulus = one.linear.rows.channel == 3
+    phi = np.radians([45.0, 135.0, 225.0, 315.0])
+    a = np.stack([np.sin(phi) * np.cos(PSI), -np.sin(phi) * np.sin(PSI), np.cos(phi)], axis=1)
+    by_signal = a @ np.linalg.inv(K)
+    plausible = CATALOGUE["quadratic_nonlinearity"].parameters[0].plausible
+    expected = by_signal[:, 0] * K[0, 0] * plausible * a[:, 0] ** 2 / np.linalg.norm(by_signal, axis=1)
+    np.testing.assert_allclose(column[modulus], expected, rtol=1e-6)
+
+
+def test_exact_readings_leave_nothing():
+    one = set_up(paper_run(None))
+    assert np.max(np.abs(one.linear.response)) < 1e-12
+    assert SETTING_U_RAD > 0

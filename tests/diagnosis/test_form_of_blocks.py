@@ -1,0 +1,82 @@
+"""A form without a name in readings of several blocks: terms of the bench shared, coefficients each its own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.diagnosis import Threshold
+from bench.diagnosis.multi_run_system import make_system
+from bench.diagnosis.noise_grid import RATIOS
+from bench.diagnosis.repeats import noise_of_repeats
+from bench.diagnosis.residual_dictionary import make_dictionary
+from bench.diagnosis.residual_model import describe
+from bench.diagnosis.residual_search import Setting
+from bench.model import AppliedEffect
+from bench.readings.joined import JoinedPart, together
+from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND_U, paper_run
+from tests.support.paper_bench import SETTING_U_RAD
+
+HALF_WAVE_V = 200e-6
+LIMIT = Threshold(1.5, 0.006, 0.0, 0.05, 1.0, 2000)
+SCALE = 1.0 + np.array([[0.0, 0.0, 0.0], [0.01, -0.02, 0.015]])
+
+
+def system_of_two_blocks():
+    """Two blocks, to whose channel y the bench adds volts in half a wave per turn."""
+    rng = np.random.default_rng(31)
+    tables = []
+    for change in SCALE:
+        run = paper_run(rng)
+        wave = HALF_WAVE_V * np.sin(run.angle_rad / 2)[:, None] * np.eye(3)[1]
+        tables.append(replace(run, signal=run.signal * change + wave))
+    joined = together([JoinedPart(table, block=i) for i, table in enumerate(tables)])
+    return make_system(joined, MODEL, STAND_U)
+
+
+@pytest.fixture(scope="module")
+def system():
+    return system_of_two_blocks()
+
+
+def test_the_clock_and_the_turns_of_a_run_begin_with_it(system):
+    turns, run = system.conditions.head_turns, system.readings.run
+    for course in (turns.visit, turns.wound, turns.turned, turns.travelled):
+        np.testing.assert_allclose(course[run == 1], course[run == 0], atol=1e-12)
+    assert set(turns.visit) == {1.0, 2.0, 3.0}  # the verification is the third
+
+
+@pytest.mark.slow
+def test_terms_are_those_of_one_run_and_add_the_same_to_every_block(system):
+    dictionary = make_dictionary(system, np.zeros((len(system), 0)))
+    families = {variant.family for variant in dictionary.candidates.variants}
+    alone = make_dictionary(system.parts[0], np.zeros((len(system.parts[0]), 0)))
+    assert families == {variant.family for variant in alone.candidates.variants}
+    for number in np.random.default_rng(2).choice(len(dictionary.candidates.variants), 12, replace=False):
+        variant = dictionary.candidates.variants[number]
+        kinds = [dictionary.candidates.kinds[c] for c in variant.columns]
+        effect = dictionary.of(variant).effect("one", per_channel=kinds[0].channel is not None)
+        values = {p.name: np.asarray(p.default) for p in effect.parameters if p.is_shape}
+        for column, kind in zip(variant.columns, kinds, strict=True):
+            size = dictionary.candidates.scale[column]
+            one = np.asarray(size) if kind.channel is None else size * np.eye(3)[kind.channel]
+            added = system.effect_column(AppliedEffect(effect, {**values, kind.parameter: one}))
+            # the stand and the head are made linear: what is beyond grows with the square of an angle
+            atol = 2e-4 * float(np.max(np.abs(added)))
+            np.testing.assert_allclose(dictionary.candidates.columns[:, column], added, rtol=1e-7, atol=atol)
+
+
+@pytest.mark.slow
+def test_a_form_of_the_bench_is_found_in_several_blocks_at_once(system):
+    about = Setting(NOISE_V, SETTING_U_RAD, RATIOS[2:5], LIMIT)
+    repeats = noise_of_repeats(system, system.readings.resolution)
+    form = describe(system, np.zeros((len(system), 0)), repeats, about)
+    (term,) = form.terms
+    assert term.family == "a wave, 0.5 per turn, in the bias"
+    (_, channel, _, _, _), (_, _, sine, u_sine, unit) = term.sizes()
+    assert (channel, unit) == ("y", "ug")
+    # a bias in g of the mean of the two scale factors, which are 2 % apart
+    expected = HALF_WAVE_V / system.block.K[1, 1] / (1.0 + SCALE[1, 1]) * 2.0 * 1e6
+    assert abs(sine - expected) < 4 * u_sine < 40
+    assert form.predicts
+    assert form.closed > 0.8

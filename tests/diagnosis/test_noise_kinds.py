@@ -1,0 +1,155 @@
+"""Noise of unequal channels, with tails, with a coarse last digit: told, and not taken for an effect."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bench.diagnosis import Threshold, ThresholdCache, diagnose
+from bench.diagnosis.mistakes.single_readings import odds_of_tails
+from bench.diagnosis.noise_grid import make_noise_grid
+from bench.diagnosis.posterior import NoiseSize, whiten_rows
+from bench.diagnosis.repeats import digit_of, is_coarse, repeated
+from bench.diagnosis.weighing import by_channel
+from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, paper_run, set_up
+from tests.support.paper_bench import SETTING_U_RAD, K
+
+SIZES = np.array([0.5, 0.8, 1.5])
+
+
+class Fixed(ThresholdCache):
+    """A threshold that nobody simulated, about that of the paper's design."""
+
+    def threshold(self, linear, whitened, setting_rad):
+        return Threshold(2.5, 0.006, 1.0, 0.05, 1.0, 2000)
+
+
+def diagnosed(readings):
+    return diagnose(readings, MODEL, STAND, np.diag(K), Fixed(None))
+
+
+def test_unequal_channels_are_whitened_as_their_covariance_says():
+    linear = replace(set_up(paper_run(np.random.default_rng(3))).linear, by_channel=SIZES)
+    noise = NoiseSize(NOISE_V, SETTING_U_RAD, 100)
+    rows = linear.setting >= 0
+    white = whiten_rows(linear, noise, np.eye(len(linear))[:, rows][rows], rows)
+    same = linear.setting[rows][:, None] == linear.setting[rows]
+    covariance = np.diag((NOISE_V * SIZES[linear.rows.channel[rows]]) ** 2)
+    covariance += np.where(same, SETTING_U_RAD**2 * np.outer(linear.slope[rows], linear.slope[rows]), 0.0)
+    np.testing.assert_allclose(white @ covariance @ white.T, np.eye(rows.sum()), atol=1e-9)
+
+
+def test_the_grid_and_a_dense_covariance_give_the_same_misfit():
+    """Restricted: coefficients projected out of the dense covariance of noise, setting and stand."""
+    linear = replace(set_up(paper_run(np.random.default_rng(4))).linear, by_channel=SIZES)
+    ratio = 2.6
+    white = make_noise_grid(linear, NOISE_V, SETTING_U_RAD, [ratio]).white[0] @ linear.response
+    slope = ratio / linear.typical_slope * np.where(linear.setting >= 0, linear.slope, 0.0)
+    same = linear.setting[:, None] == linear.setting
+    covariance = np.diag(linear.relative**2) + np.where(same, np.outer(slope, slope), 0.0)
+    covariance += linear.random @ linear.random.T / NOISE_V**2
+    inverse = np.linalg.inv(covariance)
+    x, y = linear.fixed, linear.response
+    left = y - x @ np.linalg.solve(x.T @ inverse @ x, x.T @ inverse @ y)
+    assert white @ white == pytest.approx(left @ inverse @ left, rel=1e-6)
+
+
+def test_sizes_of_channels_are_found_and_equal_ones_are_equal():
+    """600 settings without slope: each size within 4 times 1/sqrt(2 * 600) of the truth."""
+    rng = np.random.default_rng(5)
+    n = 600
+    white, none, cells = rng.normal(size=(n, 3)), np.zeros((n, 3)), np.arange(n) % 18
+    sizes = SIZES / np.sqrt(np.mean(SIZES**2))
+    found = by_channel(white * SIZES * 1e-5, np.ones(n), none, cells, 1e-12).sizes
+    np.testing.assert_allclose(found, sizes, rtol=4 / np.sqrt(2 * n))
+    np.testing.assert_array_equal(by_channel(white * 1e-5, np.ones(n), none, cells, 1e-12).sizes, 1.0)
+
+
+def test_odds_of_own_sizes_outweigh_small_effects_where_sizes_differ_and_never_where_they_do_not():
+    """54 settings as in the paper, seeds [15, k]; -ln p - ln 54 of equal noise is above 0 in 1 of 54."""
+    n = 54
+    none, cells = np.zeros((n, 3)), np.arange(n) % 18
+    white = [np.random.default_rng([15, k]).normal(size=(n, 3)) for k in range(200)]
+    equal = np.array([by_channel(w * 1e-5, np.ones(n), none, cells, 1e-12).evidence for w in white])
+    assert stats.binom.ppf(1e-4, 200, 1 / n) <= np.sum(equal > 0.0) <= stats.binom.ppf(1 - 1e-4, 200, 1 / n)
+    assert np.max(equal) < 6.0  # chance goes there once in 20,000 runs
+    own = [by_channel(w * [9e-6, 15e-6, 33e-6], np.ones(n), none, cells, 1e-12).evidence for w in white[:50]]
+    assert np.min(own) > 6.0
+
+
+@pytest.mark.slow
+def test_unequal_noise_is_told_and_nothing_is_found():
+    rng = np.random.default_rng(6)
+    readings = paper_run(rng, noise_v=0.0)
+    signal = readings.signal + rng.normal(size=(len(readings), 3)) * [9e-6, 15e-6, 33e-6]
+    found = diagnosed(replace(readings, signal=signal))
+    assert found.verdict == "agrees"
+    assert [kind.what for kind in found.noise_kinds] == ["channels"]
+    np.testing.assert_allclose(found.noise_by_channel, [9e-6, 15e-6, 33e-6], rtol=0.45)
+
+
+def test_tails_are_told_from_normal_noise():
+    """300 values, 40 draws each (seed 7): at most 2 of normal noise above -1, at least 36 with tails."""
+    rng = np.random.default_rng(7)
+    normal = [odds_of_tails(rng.normal(size=300)) for _ in range(40)]
+    tailed = [odds_of_tails(rng.standard_t(4, 300)) for _ in range(40)]
+    assert np.sum(np.array(normal) > -1.0) <= 2
+    assert np.sum(np.array(tailed) > -1.0) >= 36
+    assert odds_of_tails(rng.standard_t(4, 10)) == 0.0
+
+
+def test_one_reading_far_out_is_an_outlier_of_a_normal_noise_and_a_tail_of_a_heavy_one():
+    """150 values, 40 draws each (seed 12), one more at 9 standard deviations: right in at least 30 of 40."""
+    rng = np.random.default_rng(12)
+    far = np.array([9.0])
+    normal = [odds_of_tails(rng.normal(size=150), far) for _ in range(40)]
+    tailed = [odds_of_tails(rng.standard_t(4, 150) / np.sqrt(2), far) for _ in range(40)]
+    assert np.sum(np.array(normal) < 0.0) >= 30
+    assert np.sum(np.array(tailed) > 0.0) >= 30
+    assert odds_of_tails(rng.normal(size=150), 30.0 + np.zeros(1)) < -3.0
+
+
+@pytest.mark.slow
+def test_readings_in_tails_are_weighed_down():
+    rng = np.random.default_rng(8)
+    readings = paper_run(rng, noise_v=0.0)
+    signal = readings.signal + rng.standard_t(3, (len(readings), 3)) * 10e-6
+    found = diagnosed(replace(readings, signal=signal))
+    assert found.verdict == "agrees"
+    assert "tails" in [kind.what for kind in found.noise_kinds]
+
+
+# --- a coarse last digit ----------------------------------------------------------------------------
+
+
+def test_the_last_digit_may_be_any_step():
+    readings = paper_run(np.random.default_rng(9))
+    for step in (1e-5, 3e-5, 2e-4):
+        rounded = replace(readings, signal=np.round(np.round(readings.signal / step) * step, 9))
+        assert digit_of(rounded) == pytest.approx(step)
+    assert is_coarse(2e-4, NOISE_V)
+    assert not is_coarse(1e-5, NOISE_V)
+
+
+def test_the_part_of_rounding_that_repeats_is_what_simulation_says():
+    """20,000 points read twice (seed 10): covariance of two roundings within 4 standard errors of 1/12/sqrt(n)."""
+    rng = np.random.default_rng(10)
+    n = 20_000
+    for dither in (0.0, 0.15, 0.3):
+        value = rng.uniform(0, 1000, n)
+        twice = value + rng.normal(0, dither, (2, n))
+        error = np.round(twice) - twice
+        covariance = float(np.mean(error[0] * error[1]))
+        total = np.sqrt(dither**2 + 1 / 12)
+        assert repeated(1.0, total) ** 2 == pytest.approx(covariance, abs=4 / 12 / np.sqrt(n))
+    assert repeated(1.0, 1.0) < 1e-6
+
+
+@pytest.mark.slow
+def test_rounding_to_20_times_the_noise_is_told_and_no_effect():
+    readings = paper_run(np.random.default_rng(11))
+    step = 20 * NOISE_V
+    found = diagnosed(replace(readings, signal=np.round(np.round(readings.signal / step) * step, 9)))
+    assert found.verdict == "agrees"
+    assert [kind.what for kind in found.noise_kinds] == ["resolution"]

@@ -1,0 +1,163 @@
+"""The chart of a check block: what it rejects, what it does not, what it says."""
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+
+from bench.calibration.result import CalibrationError
+from bench.history.control_charts.chart import CheckRun, KnownDrift, Reference, control_chart
+from bench.history.control_charts.statistics import Design, components_of, drift_of, short_term
+
+BEGUN = datetime(2026, 3, 1, 8, tzinfo=UTC)
+U = np.geomspace(1e-5, 1e-4, 12)
+COVARIANCE = np.diag(U**2)
+NOTHING = np.zeros((12, 12))
+
+
+def check_run(day: float, z: np.ndarray | float = 0.0, **changed) -> CheckRun:
+    """A run so many days on, so many u off in every coefficient."""
+    run = CheckRun(
+        name=f"check-{day:g}",
+        when=BEGUN + timedelta(days=day),
+        value=2.0 + np.zeros(12) + z * U,
+        covariance=COVARIANCE,
+        noise=0.5 * U,
+        s=1e-4,
+        s_dof=36.0,
+        design="plan",
+        meters=("m1", "m2", "m3"),
+        of_meters=NOTHING,
+        lasting=NOTHING,
+    )
+    return replace(run, **changed)
+
+
+def runs(count: int, seed: int = 1, first: float = 0.0, scatter: float = 1.0) -> list[CheckRun]:
+    rng = np.random.default_rng(seed)
+    return [check_run(first + k, scatter * rng.normal(size=12)) for k in range(count)]
+
+
+def shifted(name: int, size: float) -> np.ndarray:
+    return np.where(np.arange(12) == name, size, 0.0)
+
+
+def test_a_bench_that_stays_is_in_control_and_one_that_jumps_is_not():
+    baseline, later = runs(10), runs(5, seed=2, first=10.0)
+    chart = control_chart(baseline, later, Design())
+    assert chart.in_control
+    assert [verdict.run for verdict in chart.verdicts] == [run.name for run in later]
+    jumped = check_run(20.0, shifted(3, 12.0))
+    chart = control_chart(baseline, [*later, jumped], Design())
+    assert not chart.in_control
+    (reason,) = chart.verdicts[-1].reasons
+    assert reason.startswith("T² = ")
+    assert "Kyx +1" in reason
+    # what T² rejects is no part of the memory
+    assert np.isnan(chart.ewma.t2[-1])
+
+
+def test_a_small_shift_that_lasts_is_seen_by_the_ewma_alone():
+    later = [check_run(10.0 + k, shifted(0, 2.5)) for k in range(12)]
+    chart = control_chart(runs(10), later, Design())
+    assert np.all(chart.shewhart.t2 < chart.limit_t2)
+    assert "EWMA" in chart.verdicts[-1].reasons[0]
+    assert "Kxx +" in chart.verdicts[-1].reasons[0]
+    # once the bench is mended the memory begins anew
+    mended = [*later, check_run(30.0)]
+    begun = control_chart(runs(10), mended, Design(), restarted=BEGUN + timedelta(days=29))
+    carried = control_chart(runs(10), mended, Design())
+    assert begun.in_control
+    assert abs(begun.ewma.z[-1, 0]) < 1.0 < carried.ewma.z[-1, 0]
+
+
+def test_noise_is_judged_by_itself():
+    chart = control_chart(runs(10), [check_run(11.0, s=2e-4)], Design())
+    (reason,) = chart.verdicts[0].reasons
+    assert "2.00 times that of the baseline (F = 4.00 for 36 and 360)" in reason
+
+
+def test_limits_come_closer_with_more_runs_and_are_those_of_known_u_in_the_end():
+    limits = [control_chart(runs(count), [], Design()).limit_t2 for count in (3, 5, 10, 60)]
+    believed = control_chart(runs(3), [], Design(basis="stated"))
+    assert limits == sorted(limits, reverse=True)
+    assert limits[-1] > believed.limit_t2 > 0.95 * limits[-1]
+
+
+def test_the_scale_of_stated_u_is_found_and_told():
+    chart = control_chart(runs(12, scatter=2.0), [], Design())
+    assert float(chart.centre.scale) ** 0.5 == pytest.approx(2.0, rel=0.2)
+    assert any("times as much as stated u" in note and "as the scatter shows" in note for note in chart.notes)
+
+
+def test_a_run_of_the_baseline_that_stands_apart_is_named():
+    baseline = [*runs(8), check_run(8.5, shifted(5, 15.0))]
+    chart = control_chart(baseline, [], Design())
+    assert any(note.startswith("check-8.5 stands apart") for note in chart.notes)
+
+
+def test_a_known_drift_is_taken_off_with_its_u():
+    later = [check_run(365.25, shifted(0, 20.0))]
+    assert not control_chart(runs(10), later, Design()).in_control
+    drift = KnownDrift(shifted(0, 20.0) * U, shifted(0, 1.0) * U)
+    chart = control_chart(runs(10), later, Design(), drift=drift)
+    assert chart.in_control
+    assert chart.shewhart.u[0, 0] > 1.2 * chart.shewhart.u[0, 1] * U[0] / U[1]
+
+
+def test_a_reference_from_elsewhere_carries_what_lasts():
+    lasting = np.diag((5.0 * U) ** 2)
+    later = [check_run(1.0, shifted(2, 12.0), lasting=lasting)]
+    reference = Reference("certificate", BEGUN, np.full(12, 2.0), NOTHING + COVARIANCE)
+    chart = control_chart([], later, Design(basis="stated"), reference=reference)
+    assert chart.in_control
+    assert chart.shewhart.u[0, 2] == pytest.approx(U[2] * np.sqrt(1.0 + 1.0 + 25.0))
+    assert "certificate" in chart.notes[0]
+
+
+def test_other_meters_widen_the_limits_and_are_told():
+    limits_of_meters = np.diag((10.0 * U) ** 2)
+    later = [check_run(11.0, shifted(0, 15.0), meters=("new", "m2", "m3"), of_meters=limits_of_meters)]
+    chart = control_chart(runs(10), later, Design())
+    assert chart.in_control
+    assert any("check-11" in note and "new baseline" in note for note in chart.notes)
+
+
+def test_drift_of_the_block_is_found_with_its_u():
+    rng = np.random.default_rng(2)
+    year = np.linspace(0.0, 1.0, 30)
+    values = rng.normal(size=(30, 12)) * U
+    values[:, 4] += 30.0 * U[4] * year
+    found = drift_of(year, values, U, np.inf)
+    assert found.per_year[4] / U[4] == pytest.approx(30.0, abs=4.0 * found.u[4] / U[4])
+    assert found.p[4] < 1e-6
+    assert np.all(np.delete(found.p, 4) > 0.01)
+
+
+def test_components_tell_what_stated_u_does_not_hold():
+    rng = np.random.default_rng(6)
+    values = rng.normal(size=(20, 12)) * U
+    honest = components_of(values, COVARIANCE, 0.5 * U)
+    assert honest.birge2 == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 228))
+    assert honest.alike_p > 0.01
+    assert np.all(honest.between_most > 0.0)
+    values[:, 7] *= 5.0
+    found = components_of(values, COVARIANCE, 0.5 * U)
+    assert found.more_than_stated[7] < 1e-6
+    assert found.between[7] == pytest.approx(np.sqrt(24.0) * U[7], rel=0.5)
+    assert found.alike_p < 1e-6
+
+
+def test_short_term_standard_deviations_are_pooled_by_their_freedom():
+    """NIST/SEMATECH e-Handbook, 2.3.5.1: the limit is s sqrt(F), F of 1 % for 3 and 351 degrees of freedom."""
+    found = short_term(np.array([2.0]), np.array([3.0]), np.full(117, 1.0), np.full(117, 3.0))
+    assert found.pooled_dof == 351.0
+    assert found.limits(0.01) == pytest.approx([np.sqrt(3.8384)], rel=1e-3)
+    assert found.f == pytest.approx([4.0])
+    assert found.p[0] < 0.01
+
+
+def test_nothing_to_begin_with_is_refused():
+    with pytest.raises(CalibrationError, match="measure the check block first"):
+        control_chart([], [], Design())

@@ -1,0 +1,60 @@
+"""The page of a control chart."""
+
+import re
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+
+from bench.history.control_charts.chart import CheckRun, control_chart
+from bench.history.control_charts.statistics import Design
+from bench.results.control_chart import ChartOfBlock, render_chart
+
+NOTHING = np.zeros((12, 12))
+U = 1e-4
+
+
+def check_run(day: int, shift: float = 0.0) -> CheckRun:
+    rng = np.random.default_rng(day)
+    value = 1.0 + U * rng.normal(size=12)
+    value[3] += shift * U
+    when = datetime(2026, 3, 1, tzinfo=UTC) + timedelta(days=day)
+    covariance = U**2 * np.eye(12)
+    return CheckRun(
+        f"<check-{day}>",
+        when,
+        value,
+        covariance,
+        np.full(12, U / 2),
+        1e-4,
+        36.0,
+        "plan",
+        (),
+        NOTHING,
+        NOTHING,
+    )
+
+
+def page(later: list[CheckRun]) -> str:
+    chart = control_chart([check_run(day) for day in range(8)], later, Design())
+    return render_chart(ChartOfBlock(chart, "a block <1>", "V", True, ("a note",), "said of its last run"))
+
+
+@pytest.mark.slow
+def test_the_page_shows_the_verdict_the_charts_and_what_is_behind_them():
+    html = page([check_run(8), check_run(9, shift=20.0)])
+    assert "✗ Out of control" in html
+    assert "SIMULATED" in html
+    assert "<check-9>" not in html
+    assert "&lt;check-9&gt;" in html
+    assert len(re.findall("<svg ", html)) == 2
+    assert not re.findall(r"(?:src|href)=\"http", html)
+    assert "Short term and long term" in html
+    assert re.search(r'class="bad"><th scope="row">K<sub>yx</sub>', html)
+
+
+def test_without_a_run_to_judge_there_is_no_chart():
+    html = page([])
+    assert "No verdict yet" in html
+    assert "said of its last run" in html
+    assert "<svg " not in html

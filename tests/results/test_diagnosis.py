@@ -1,0 +1,164 @@
+"""The page of a diagnosis and its words: what is said, in which order, and that the page stands alone."""
+
+import html
+import re
+
+import numpy as np
+import pytest
+
+from bench.base.numbers import fixed
+from bench.cli.diagnose import examined
+from bench.diagnosis import NamedEffect
+from bench.diagnosis.result import EffectValue
+from bench.readings.csv import write_csv
+from bench.results.diagnosis.words import (
+    effect_title,
+    micro_g,
+    parameters_in_words,
+    smallest_found,
+    unit_in_print,
+)
+from bench.services.diagnosis import Body
+from bench.services.source import Request, load_sources
+from tests.support.diagnosis_bench import paper_run
+
+pytestmark = pytest.mark.slow
+
+
+def page_of(folder, seed, **hidden):
+    """Diagnose readings of the independent simulation; return the result and the page."""
+    write_csv(paper_run(np.random.default_rng(seed), directions=(1, -1, 1), **hidden), folder / "r.csv")
+    request = Request([str(folder / "r.csv")], folder)
+    (source,) = load_sources(request)
+    return examined(Body(source, ("0",))), (folder / "diagnose" / "r.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def cache():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("BENCH_FILE", raising=False)
+        yield
+
+
+@pytest.fixture(scope="module")
+def named(cache, tmp_path_factory):
+    return page_of(tmp_path_factory.mktemp("named"), 4, K2=(0.0, 1e-4, 0.0))
+
+
+@pytest.fixture(scope="module")
+def agrees(cache, tmp_path_factory):
+    return page_of(tmp_path_factory.mktemp("agrees"), 3)
+
+
+def text_of(page):
+    plain = re.sub(r"<svg.*?</svg>|<style.*?</style>|<[^>]+>", " ", page, flags=re.DOTALL)
+    return " ".join(html.unescape(plain).split())
+
+
+def test_the_story_stands_in_order(named):
+    _, page = named
+    order = [
+        "What to do", "Measured and simulated", "Basic model and noise", "Where they disagree", "What was found",
+        "How sure:", "What else it could be:", "How far the gap closes", "Simulated bench beside the readings",
+        "Consequence", "What to measure next", "What these readings could never show", "Registered beforehand",
+        "Provenance",
+    ]  # fmt: skip
+    places = [page.index(heading) for heading in order]
+    assert places == sorted(places)
+
+
+def test_the_figures_are_those_of_the_result(named):
+    full, page = named
+    text = text_of(page)
+    (k2,) = full.diagnosis.effects[0].parameters
+    assert f"K2 of y = {fixed(k2.value, 1)} ± {fixed(k2.u, 1)} µg/g² (u)" in text
+    gap = full.diagnosis.gap
+    assert f"{gap.before:.2f} before, {gap.after:.2f} after; noise alone gives 1" in text
+    assert full.diagnosis.registered.sha256 in text
+    assert str(full.model) in text
+    for fold in gap.folds:
+        assert fold.label in text
+
+
+def test_the_first_screen_has_verdict_gap_and_what_to_do(named):
+    full, page = named
+    first = text_of(page[: page.index("Measured and simulated")])
+    gap = full.diagnosis.gap
+    assert f"Gap closed {min(100 * gap.closed, 100):.0f} %, from {micro_g(gap.before_rms_g)} to " in first
+    assert f"bench calibrate {full.source} --model {full.model}" in first
+    assert f"bench confirm NEW --model {full.model}" in first
+
+
+def test_measured_and_simulated_signals_stand_in_one_figure(named):
+    _, page = named
+    figure = page[page.index("diagnosis-overlay-0") :].partition("</svg>")[0]
+    # the readings of three channels, in each of three passes, with the marks of the passes
+    assert len(set(re.findall(r'id="(diagnosis-overlay-0-overlay-0-[xyz]-\d+)"', figure))) == 9
+
+
+def test_the_page_needs_nothing_but_itself(named):
+    _, page = named
+    assert re.findall(r'(?:src|href)="(?!#)[^"]*"', page) == []
+    assert (
+        page.count("<svg") == page.count("</svg>") == 8
+    )  # two overlays, ranking, gap, two mountings, time, modulus
+    identifiers = re.findall(r'\bid="([^"]+)"', page)
+    assert len(identifiers) == len(set(identifiers))
+
+
+def test_nothing_found_is_told_with_what_would_not_show(agrees):
+    full, page = agrees
+    text = text_of(page)
+    assert full.diagnosis.verdict == "agrees"
+    assert "Nothing found" in text
+    assert "What was found" not in text
+    assert "What is smaller than the sizes at the end of this page would not show" in text
+    for name, size in smallest_found(full.diagnosis):
+        assert f"{name} {size}" in text
+    assert full.diagnosis.hidden
+    for name in full.diagnosis.hidden:
+        assert name in text
+
+
+def test_the_smallest_size_that_shows_is_about_that_of_the_noise(agrees):
+    # readings of 15 uV on 2.1 V/g: a square of 1 g^2 in one channel is known to about 5 ug/g^2 (test of the
+    # dry run), so that six times that is found in half of all runs
+    full, _ = agrees
+    sizes = dict(smallest_found(full.diagnosis))
+    assert sizes["quadratic_nonlinearity"].endswith(" µg/g²")
+    assert 5 < float(sizes["quadratic_nonlinearity"].split()[0]) < 60
+
+
+def test_a_mistake_in_the_readings_is_shown_with_its_correction(cache, tmp_path):
+    table = paper_run(np.random.default_rng(3), directions=(1, -1, 1))
+    write_csv(table, tmp_path / "r.csv")
+    text = (tmp_path / "r.csv").read_text(encoding="utf-8")
+    (tmp_path / "r.csv").write_text(
+        text.replace("ux_v", "t_v").replace("uz_v", "ux_v").replace("t_v", "uz_v")
+    )
+    request = Request([str(tmp_path / "r.csv")], tmp_path)
+    (source,) = load_sources(request)
+    full = examined(Body(source, ("0",)))
+    page = text_of((tmp_path / "diagnose" / "r.html").read_text(encoding="utf-8"))
+    assert full.diagnosis.verdict == "mistake"
+    assert "swapped_channels , channel x, z" in page
+    assert "the misfit of all readings goes from" in page
+
+
+def found(name, channels, installations, *parameters):
+    return NamedEffect(name, channels, installations, (), (), parameters, 0.0, 0.0, 1.0, "")
+
+
+def test_parameters_read_as_a_person_writes_them():
+    amplitude = EffectValue("A", "x", "", -151.26, 12.3, "ug")
+    warm_up = found("warm_up", ("x", "z"), (), amplitude, EffectValue("tau", "", "", 20.0, None, "min"))
+    assert effect_title(warm_up) == "warm_up of x, z"
+    assert list(parameters_in_words(warm_up)) == [
+        "A of x = −151 ± 12 µg (u)",
+        "tau = 20 min (its shape, the likeliest of those tried)",
+    ]
+    angle = EffectValue("angle", "", "1", 93.2, 4.1, "arcsec")
+    mounting = found("mounting_error", ("x", "y", "z"), ("1",), angle)
+    assert effect_title(mounting) == "mounting_error in installation 1"
+    assert list(parameters_in_words(mounting)) == ["angle in installation 1 = 93.2 ± 4.1″ (u)"]
+    assert unit_in_print("ug/g^3") == "µg/g³"

@@ -1,0 +1,204 @@
+"""The report: one page that says what was found, rounded as a metrologist rounds, and stands alone."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.base.numbers import concise, fixed, rounded, scale_for
+from bench.calibration import calibrate, verify
+from bench.model import ForwardModel
+from bench.model.block import COEFFICIENTS
+from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.readings.table import make_readings
+from bench.results import ReportContent, plots, render_report, write_report
+from tests.support.paper_bench import STAND_U, simulate
+
+MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
+
+
+class Text(HTMLParser):
+    """The text of a page, and every address that it refers to."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.words, self.addresses = [], []
+        self.feed(page)
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    def handle_starttag(self, tag, attributes):
+        self.addresses += [
+            value for name, value in attributes if name in {"src", "href", "xlink:href", "data"}
+        ]
+
+    @property
+    def text(self):
+        return " ".join("".join(self.words).split())
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return calibrate(simulate(np.random.default_rng([5, 1]), 1e-4), MODEL, STAND_U, 9.81)
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """The page without its drawings, which take most of a second: enough for a test of its words."""
+    for name in ("residuals_by_angle", "residuals_in_order", "correlations", "verification_points"):
+        monkeypatch.setattr(plots, name, lambda *what: "<svg></svg>")
+    monkeypatch.setattr(plots, "compared_coefficients", lambda *what: "<svg></svg>")
+
+
+def verification_of(calibration, delta_g=0.0, missing=0, limit=3e-4, rule=None):
+    angle = np.radians([45.0, 135.0, 225.0, 315.0])
+    turned = np.stack([np.sin(angle) / np.sqrt(2), -np.sin(angle) / np.sqrt(2), np.cos(angle)], axis=1)
+    signal = calibration.block.output(turned * (1 + delta_g))
+    rows = make_readings(["V"] * 4, [1] * 4, [1, 2, 3, 4], angle, signal)
+    rows = replace(rows, verification_missing=missing)
+    known = calibration.block, calibration.covariance, calibration.noise.reading
+    return verify(rows, *known, limit, rule=rule)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_coefficients_stand_there_rounded_to_two_digits_of_u(calibration):
+    text = Text(render_report(ReportContent("T", calibration))).text
+    for name, value, u in zip(COEFFICIENTS, calibration.block.vector, calibration.u, strict=True):
+        decimals = 1 - int(np.floor(np.log10(u)))
+        # independent of the page's own rounding: Python's format and the digits of u
+        expected = f"{value:.{decimals}f}".replace("-", "−") + f"({round(u * 10**decimals)})"
+        assert expected in text, name
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_verdict_is_said_first_and_in_words(calibration):
+    passed = render_report(ReportContent("T", calibration, verification_of(calibration, 1e-4)))
+    failed = render_report(ReportContent("T", calibration, verification_of(calibration, 5e-4)))
+    assert "Verification passed" in passed
+    assert "Verification failed" in failed
+    assert "4 of 4 verification points outside the limit" in failed
+    assert failed.index("Verification failed") < failed.index("Model and coefficients")
+    missing = render_report(ReportContent("T", calibration, verification_of(calibration, missing=2)))
+    assert "Verification not complete" in missing
+    assert "2 verification points are missing" in missing
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_verdict_that_is_not_sure_says_so_in_words(calibration):
+    result = verification_of(calibration, 2.8e-4, rule="simple")
+    page = Text(render_report(ReportContent("T", calibration, result))).text
+    assert "✓ Verification: conditional pass, accepted" in page
+    assert f"Probability of false acceptance {result.p_outside:.2g}" in page
+    assert "4 of 4 verification points within the limit by less than the guard band" in page
+    unstated = verification_of(calibration, 2.8e-4)
+    page = Text(render_report(ReportContent("T", calibration, unstated))).text
+    assert "– Verification: conditional pass, for the customer to accept" in page
+    assert "non-binary (false acceptance ≤ 5 %)" in page
+    assert "u(Δg) up to" in page
+    nothing = verification_of(calibration, 1e-5, limit=5e-5)
+    page = Text(render_report(ReportContent("T", calibration, nothing))).text
+    assert "– Verification inconclusive" in page
+    assert "larger than the limit of 50 µg, so nothing can be said safely" in page
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_without_verification_points_nothing_is_claimed(calibration):
+    text = Text(render_report(ReportContent("T", calibration))).text
+    assert "Not verified" in text
+    assert "neither passed nor failed" in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_what_a_user_wrote_cannot_become_markup(calibration):
+    content = ReportContent("<b>T</b>", calibration, provenance={"operator": "<script>alert(1)</script>"})
+    page = render_report(content)
+    assert "<script>" not in page
+    assert "<script>alert(1)</script>" in Text(page).text
+    assert "<b>T</b>" in Text(page).text
+
+
+@pytest.mark.slow
+def test_the_page_stands_alone_and_is_the_same_each_time(calibration):
+    content = ReportContent("T", calibration, verification_of(calibration), compared=None, simulated=True)
+    page = render_report(content)
+    assert page == render_report(content)
+    outside = [a for a in Text(page).addresses if a and not a.startswith(("#", "data:"))]
+    assert outside == []
+    assert "url(http" not in page
+    assert len(page) < 1_000_000
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_simulated_run_is_marked(calibration):
+    content = ReportContent("T", calibration, simulated=True)
+    assert "SIMULATED" in render_report(content)
+    assert "SIMULATED" not in render_report(replace(content, simulated=False))
+
+
+@pytest.mark.slow
+def test_every_reading_is_in_the_residual_plots(calibration):
+    """54 readings of three channels, each drawn once against the angle: a marker is a <use> in the drawing."""
+    from bench.results.plots import residuals_by_angle
+
+    drawing = residuals_by_angle(calibration)
+    assert len(re.findall(r"<use ", drawing)) >= 3 * len(calibration.fitted)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_what_the_data_do_not_tell_is_marked(calibration):
+    text = Text(render_report(ReportContent("T", calibration))).text
+    assert "no better known than before" in text  # alpha2: held by its limits alone
+    assert "mounting_roll" in text
+    assert "−10.4 µV/g" in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_other_units_and_notes(calibration):
+    content = ReportContent(
+        "T", replace(calibration, unit="counts"), notes=("run unfinished",), skipped=("line 4",)
+    )
+    text = Text(render_report(content)).text
+    assert "counts/g" in text
+    assert "run unfinished" in text
+    assert "line 4" in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_comparison_with_another_estimator_is_shown(calibration):
+    other = calibrate(calibration.fitted, MODEL, STAND_U, 9.81, "closed-form")
+    page = render_report(ReportContent("T", calibration, compared=other))
+    assert "Beside another estimator" in page
+    assert "Beside another estimator" not in render_report(
+        ReportContent("T", calibration, compared=calibration)
+    )
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_it_is_written_as_utf8(calibration, tmp_path):
+    write_report(ReportContent("Блок 17", calibration), tmp_path / "r.html")
+    assert "Блок 17" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
+def test_numbers_are_rounded_as_the_guide_says():
+    """JCGM 100:2008, 7.2.6: two digits of u, the value to the same place."""
+    assert concise(-2.1770871, 0.0000204) == "−2.177087(20)"
+    assert rounded(33102.2239, 123.4) == "33100"
+    assert fixed(-0.00001, 3) == "0.000"
+    assert scale_for(9.8e-5, "V").unit == "µV"
+
+
+@pytest.mark.slow
+def test_free_positions_alone_have_no_stand_and_no_block_that_nobody_named(bench, tmp_path):
+    """The page of readings without a bench file does not name the block of the shipped one."""
+    file = Path(__file__).parents[1] / "data" / "xsens-38.csv"
+    assert bench("report", file, "--g", "9.81744", "--out", "o")[0] == 0
+    page = (tmp_path / "o" / "xsens-38.html").read_text(encoding="utf-8")
+    assert "triaxial block of the paper" not in page
+    assert "No reading here had a known orientation" in page
+    assert "Setting error" not in page
+    assert page.count("by convention") >= 3
+    assert "0.000000000" not in page

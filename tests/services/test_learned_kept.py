@@ -1,0 +1,90 @@
+"""Runs with a learned file: their own copy counts, on the check block's chart and in a laboratory's catalogue."""
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+import bench as program
+from bench.base.arrays import ARCSEC, u_of
+from bench.config.bench_file.learned import arcsec
+from bench.model.block import COEFFICIENTS
+from bench.run.folder import LEARNED, Run
+from bench.run.manifest import RecordError
+from bench.services.check_block import check_values
+from bench.services.execution import carry_out, new_run
+from tests.support.learned_file import content, leave
+
+KYX = COEFFICIENTS.index("Kyx")
+
+
+def worse():
+    """A learned stand whose remounts are ten times as large."""
+    stand = content()["stand"]
+    return {**stand, "remount": {kind: arcsec(30.0 * ARCSEC) for kind in stand["remount"]}}
+
+
+@pytest.fixture
+def measured(empty_folder, monkeypatch):
+    """Measure with the bench file as it is then, seed 5 each time; the cache is this folder's own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(Path("cache").absolute()))
+
+    def run(name):
+        new = new_run("quick", "mine.yaml", Path("runs"), dry_run=True, seed=5, name=name)
+        carry_out(Run(new.folder), new.record(), None, None, Console(file=io.StringIO(), quiet=True))
+        return Run(new.folder)
+
+    return run
+
+
+def test_a_chart_keeps_to_what_was_learned_when_the_check_was_measured(measured):
+    """What is kept goes by the head of the record, in which the copy of the learned file is bound."""
+    leave()
+    first = measured("first")
+    before = check_values(first)
+    leave(stand=worse())
+    second = measured("second")
+    np.testing.assert_array_equal(check_values(first).readings, before.readings)
+    np.testing.assert_array_equal(
+        program.calibrate("runs/first").calibration.covariance_readings, before.readings
+    )
+    after = check_values(second)
+    assert u_of(after.readings)[KYX] > 2 * u_of(before.readings)[KYX]
+    # a copy that was changed is no record any more, though values of it are kept
+    copy = first.folder / LEARNED
+    copy.write_bytes((second.folder / LEARNED).read_bytes())
+    with pytest.raises(RecordError, match=r"learned\.yaml"):
+        check_values(Run(first.folder))
+
+
+@pytest.mark.slow
+def test_a_fleet_of_benches_with_learned_files_has_their_u(bench, empty_folder, monkeypatch):
+    """Two units on two benches, one with what was learned, one by its limits: compared by what each states.
+
+    Both read the same voltages, so that nothing but what was learned tells them apart.
+    """
+    monkeypatch.setenv("TRIAXIAL_BENCH_CATALOGUE", "laboratory.sqlite")
+    leave()
+    for name in ("mine", "plain"):
+        text = Path(f"{name}.yaml").read_text(encoding="utf-8")
+        Path(f"{name}.yaml").write_text(text.replace("name: paper-stand", f"name: {name}"), encoding="utf-8")
+        for unit in "12":
+            words = ("run", "quick", "--dry-run", "--seed", unit, "--bench", f"{name}.yaml", "--unit", unit)
+            status, _, err = bench(*words, "--name", f"{name}-{unit}")
+            assert status < 2, err
+    assert bench("catalogue", "sync", "runs")[0] == 0
+    status, _, err = bench("fleet", "compare", "simulated=yes", "--json", "found.json")
+    assert status < 2, err
+    told = json.loads(Path("found.json").read_text(encoding="utf-8"))
+    (pair,) = told["coefficients"]["Kyx"]["pairs"]
+    assert {pair["first"], pair["second"]} == {"mine", "plain"}
+    u = {}
+    for name in ("mine", "plain"):
+        result = json.loads(Path(f"runs/{name}-1/calibrate.json").read_text(encoding="utf-8"))
+        u[name] = result["coefficients"]["Kyx"]["u"]
+        said = any("stands in place of the stated limits" in note for note in result["notes"])
+        assert said == (name == "mine")
+    assert u["mine"] < u["plain"]
