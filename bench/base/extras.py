@@ -1,6 +1,6 @@
 """Packages that come with extras: one that is missing is named with the command that installs it.
 
-An import of one stands bare where it is needed: the failure is told where all errors are (`bench.services.explained`).
+An import of one stands bare where it is needed; `bench.services.explained` tells of a failure.
 """
 
 from __future__ import annotations

@@ -2,19 +2,19 @@
 
     @dataclass(frozen=True)
     class Confirm:
-        source: Annotated[Data, Option("New readings: a run or a readings file.", argument=True)]
-        model: Annotated[Path, Option("Model file of 'diagnose', found in other readings.", metavar="FOUND")]
+        source: Annotated[str, Option("New readings.", argument=True)]
+        model: Annotated[Path, Option("Model file of 'diagnose'.", metavar="FOUND")]
         g: Annotated[float | None, Option("Local gravity, m/s².", metavar="M/S2")] = None
 
-The command line, the Python face and the panel's forms are made of it (`bench.cli.requested`, `bench.services.face`,
-`bench.panel.launching`). Nothing heavy is imported here: a command's help needs no more than its request.
+Made of it are the command line (`bench.cli.requested`), the Python face and the panel's forms. Nothing heavy is
+imported here: a command's help needs no more than its request.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
 
@@ -26,9 +26,8 @@ class Option:
     """What a field of a request is to its user: a line of help, and how it is typed.
 
     `flags` are "--name" by default, of a flag that is on "--name/--no-name"; an `argument` has none. `completes`
-    names what completes it ("bench_files", "sources", …; `bench.cli.completing`), `least` the smallest number.
-    `typed` is what the command line reads, where the field takes more (a table, a bench file at hand). `takes` tells
-    in words and in code what a caller in Python may give, where its type does not.
+    names what completes it ("bench_files", …; `bench.cli.completing`), `least` the smallest number.
+    `typed` is what the command line reads, where the field takes more (a table, a bench file at hand).
     """
 
     help: str
@@ -39,12 +38,11 @@ class Option:
     environment: str | None = None
     least: float | None = None
     typed: Any = None
-    takes: tuple[Callable[[Any], bool], str] | None = None
 
 
 @dataclass(frozen=True)
 class RequestField:
-    """A field of a request: its name, type, default (`NOT_GIVEN` where it must be given), and what it is."""
+    """A field of a request; `default` is `NOT_GIVEN` where it must be given."""
 
     name: str
     type: Any

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib import import_module
 from keyword import iskeyword
 from typing import Any, Final
@@ -55,6 +56,9 @@ COMMANDS: Final = {
 }  # fmt: skip
 """Every command with the first line of its help, in the order in which the help lists them."""
 
+MODULES: Final[Mapping[str, str]] = {}
+"""The module of this room that holds a command, where it is not the one of its name."""
+
 HEADINGS: Final = {
     "run": "Measure",
     "init": "Prepare",
@@ -66,7 +70,7 @@ HEADINGS: Final = {
 
 
 class Commands(TyperGroup):
-    """The group of all commands; each stands in the module of its name."""
+    """The group of all commands; each stands in the module of its name, or the one that `MODULES` says."""
 
     def __init__(self, **settings: Any) -> None:
         listed = {name: TyperCommand(name, help=line) for name, line in COMMANDS.items()}
@@ -98,12 +102,13 @@ def load_command(name: str) -> Any:
     """Import the module of a command; return what the library makes of its function, or of its group's."""
     from bench.cli.options import app, with_own_parts
 
-    word = name.replace("-", "_")
-    module = import_module(f"bench.cli.{word}_" if iskeyword(word) else f"bench.cli.{word}")
+    word = name.replace("-", "_") + "_" * iskeyword(name)
+    module = import_module(f"bench.cli.{MODULES.get(name, word)}")
     if hasattr(module, "GROUP"):
         group = get_group(module.GROUP)
         for command in group.commands.values():
             with_own_parts(command)
         return group
-    (info,) = (one for one in app.registered_commands if one.callback.__module__ == module.__name__)
+    mine = {one.callback: one for one in app.registered_commands}
+    info = mine[getattr(module, word)]
     return with_own_parts(get_command_from_info(info, pretty_exceptions_short=True, rich_markup_mode=None))

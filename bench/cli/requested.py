@@ -13,7 +13,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import is_dataclass
-from functools import wraps
+from functools import partial, wraps
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
@@ -30,7 +30,8 @@ def requested(command: Callable[..., int]) -> Callable[..., int]:
     parameters = list(inspect.signature(command).parameters.values())
     place = [parameter.name for parameter in parameters].index(name)
     made = [_parameter(field, several=several and place == 0 and field is fields[0]) for field in fields]
-    others = [one.replace(annotation=hints[one.name]) for one in parameters if one.name != name]
+    named = inspect.Parameter.KEYWORD_ONLY
+    others = [one.replace(annotation=hints[one.name], kind=named) for one in parameters if one.name != name]
 
     @wraps(command)
     def call(**given: Any) -> int:
@@ -44,7 +45,7 @@ def requested(command: Callable[..., int]) -> Callable[..., int]:
     signature = sorted([*made, *others], key=lambda one: one.default is not NOT_GIVEN)
     call.__signature__ = inspect.Signature(signature, return_annotation=int)  # type: ignore[attr-defined]
     call.__annotations__ = {one.name: one.annotation for one in signature} | {"return": int}
-    del call.__wrapped__  # type: ignore[attr-defined]
+    del call.__wrapped__
     return call
 
 
@@ -57,21 +58,18 @@ def _requests(hints: dict[str, Any]) -> Any:
 
 def _parameter(field: RequestField, *, several: bool) -> inspect.Parameter:
     option = field.option
-    kind = option.typed or field.type
+    kind: Any = option.typed or field.type
     common: dict[str, Any] = {"help": option.help, "metavar": option.metavar, "envvar": option.environment}
     if option.completes is not None:
         common["autocompletion"] = getattr(completing, option.completes)
     if option.least is not None:
         common["min"] = option.least
-    if option.argument:
-        info = typer.Argument(**common)
-    else:
-        info = typer.Option(*(option.flags or _flags(field)), **common)
+    info: Any = typer.Argument if option.argument else partial(typer.Option, *(option.flags or _flags(field)))
     return inspect.Parameter(
         field.name,
         inspect.Parameter.KEYWORD_ONLY,
         default=field.default,
-        annotation=Annotated[list[kind] if several else kind, info],
+        annotation=Annotated[list[kind] if several else kind, info(**common)],
     )
 
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from scipy import special
@@ -20,7 +20,7 @@ from bench.calibration import CalibrationError
 from bench.calibration.design import FIXED, EffectUnknown
 from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.free_result import FreeDiagnosis
-from bench.diagnosis.gap import BY_CHANCE, FLOOR, LEAST_CLOSED, part_closed, rms
+from bench.diagnosis.gap import BY_CHANCE, LEAST_CLOSED, part_closed, rms
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.pipeline import diagnose
 from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows
@@ -67,29 +67,6 @@ class EffectNow:
     found: tuple[EffectValue, ...]
     now: tuple[EffectValue, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "name": self.applied.effect.name,
-            "channels": list(self.applied.channels),
-            "installations": list(self.applied.installations),
-            "verdict": self.verdict,
-            "p_same": self.p_same,
-            "p_none": self.p_none,
-            "parameters": [
-                {
-                    "parameter": was.parameter,
-                    "channel": was.channel or None,
-                    "value": was.value,
-                    "u": was.u,
-                    "now": now.value,
-                    "u_now": now.u,
-                    "unit": was.unit,
-                }
-                for was, now in zip(self.found, self.now, strict=True)
-            ],
-        }
-
 
 @dataclass(frozen=True)
 class Confirmation:
@@ -117,22 +94,6 @@ class Confirmation:
             return "gone"
         enough = self.closed is None or self.closed >= LEAST_CLOSED or self.p_after >= BY_CHANCE
         return "confirmed" if words == {"confirmed"} and enough else "changed"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "closed": self.closed,
-            "before": self.before.reduced,
-            "after": self.after.reduced,
-            "floor": FLOOR,
-            "p_after": self.p_after,
-            "before_rms_ug": 1e6 * self.before.rms_g,
-            "after_rms_ug": 1e6 * self.after.rms_g,
-            "expected_rms_ug": 1e6 * self.after.expected_rms_g,
-            "verdict": self.verdict,
-            "effects": [effect.to_dict() for effect in self.effects],
-            "left": self.diagnosis.verdict,
-        }
 
 
 def confirm(

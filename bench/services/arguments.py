@@ -20,6 +20,7 @@ from bench.services.explained import sentence
 
 P = ParamSpec("P")
 R = TypeVar("R")
+Asked = TypeVar("Asked")
 
 LONGEST_NAME: Final = 4096
 """Bytes of the longest path of a file."""
@@ -143,6 +144,23 @@ def checked(**others: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return call
 
     return decorated
+
+
+def python_call(request: Callable[P, Asked], act: Callable[[Asked], R]) -> Callable[P, R]:
+    """Return the function of the Python face that carries out a request: its parameters are the request's fields.
+
+    It goes by the name of `act` without the underscore, and is described by it.
+    """
+
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        return act(request(*args, **kwargs))
+
+    call.__name__ = call.__qualname__ = act.__name__.lstrip("_")
+    call.__doc__ = act.__doc__
+    fields = inspect.signature(request).parameters.values()
+    signature = inspect.Signature([one.replace(annotation=inspect.Parameter.empty) for one in fields])
+    call.__signature__ = signature  # type: ignore[attr-defined]
+    return checked()(call)
 
 
 DIAGNOSED: Final[Kind] = (

@@ -15,6 +15,7 @@ from bench.base.visible import visible
 from bench.config.bench_file.file import BenchFile, load_bench, load_recorded_bench
 from bench.config.bench_file.learned import LearnedFile, load_learned
 from bench.config.shipped import find_bench
+from bench.results.parts import BenchPart
 from bench.run.folder import BENCH, IMPORTED, LEARNED, Run
 from bench.run.manifest import sha256
 from bench.run.manifest import sha256 as sha256_of
@@ -247,6 +248,10 @@ class BenchTaken:
     def reason(self) -> str:
         """Why that one, with why the run had it."""
         return ": ".join(filter(None, (self.why, self.chosen)))
+
+    def part(self) -> BenchPart:
+        """Return what a result says of it."""
+        return BenchPart(name=self.file.name, file=self.where, why=self.reason, sha256=self.sha256)
 
     def to_dict(self) -> dict[str, str]:
         """Return what a result says of it."""

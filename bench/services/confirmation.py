@@ -10,7 +10,6 @@ import numpy as np
 from rich.console import Console
 
 from bench.base.files import cache_folder
-from bench.base.numbers import without_infinity
 from bench.base.tables import as_text
 from bench.config.model_file import load_model
 from bench.diagnosis import ThresholdCache
@@ -18,6 +17,7 @@ from bench.diagnosis.confirm import Confirmation, confirm
 from bench.diagnosis.free_positions import confirm_free
 from bench.diagnosis.free_result import OUTLIER, FreeDiagnosis
 from bench.diagnosis.mistakes.search import Mistake
+from bench.results.confirm import confirm_result, print_confirmation
 from bench.services.diagnosis import put_right
 from bench.services.errors import Refused
 from bench.services.free_diagnosis import free_sources
@@ -72,20 +72,19 @@ class ConfirmationResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench confirm --json` writes it."""
-        whole = self.found.to_dict() | {
-            "model": str(self.source.request.model),
-            "source": self.source.name,
-            "bench": self.source.taken.to_dict(),
-            "corrections": self.source.traced.to_json(),
-            "simulated": self.source.simulated,
-            "notes": list(self.notes),
-        }
-        return {key: without_infinity(value) for key, value in whole.items()}
+        source = self.source
+        return confirm_result(
+            self.found,
+            model=str(source.request.model),
+            source=source.name,
+            bench=source.taken.part(),
+            corrections=source.traced.parts(),
+            simulated=source.simulated,
+            notes=list(self.notes),
+        ).to_dict()
 
     def print_on(self, out: Console) -> None:
         """Print the effects as they were and are, and the number."""
-        from bench.results.diagnosis.terminal import print_confirmation
-
         print_confirmation(self.source.name, self.found, list(self.notes), out)
 
     def __repr__(self) -> str:

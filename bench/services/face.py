@@ -23,7 +23,7 @@ from bench.calibration.estimators import GLS
 from bench.config.bench_file.file import BenchFile
 from bench.readings.csv import read_csv, read_frame
 from bench.readings.table import Readings
-from bench.services.arguments import DIAGNOSED, checked
+from bench.services.arguments import DIAGNOSED, checked, python_call
 from bench.services.bench_selection import bench_of, find_bench_file, origin_beside
 from bench.services.calibration import CalibrationResult, calibration_of
 from bench.services.confirmation import ConfirmationResult, confirmation_of
@@ -31,7 +31,8 @@ from bench.services.diagnosis import DiagnosisResult, body_of, diagnosis_of
 from bench.services.free_diagnosis import FreeDiagnosisResult, free_diagnosis_of, free_sources
 from bench.services.learning import LearningResult, learning_of
 from bench.services.own_effects import knowing_effects_in
-from bench.services.source import Request, Source, load_sources
+from bench.services.requests.evaluation import Confirm
+from bench.services.source import Request, Source, load_sources, reading
 from bench.services.verification import Asked, VerificationResult, verification_of
 
 if TYPE_CHECKING:
@@ -169,22 +170,16 @@ def diagnose(
         return DiagnosisResult(body.source, diagnosis_of(body.source, body.nominal))
 
 
-@checked()
-def confirm(
-    source: Data,
-    *,
-    model: str | Path,
-    bench: Bench = None,
-    g: float | None = None,
-    skip_bad_rows: bool = False,
-    runs: str | Path | None = None,
-) -> ConfirmationResult:
+def _confirm(request: Confirm) -> ConfirmationResult:
     """Return whether new readings confirm a model file that was found in others, as `bench confirm` finds it.
 
     All else as in `calibrate`.
     """
-    (loaded,) = _loaded([source], bench, model, g, runs, skip_bad_rows=skip_bad_rows)
-    return confirmation_of(loaded)
+    (source,) = load_sources(reading(request, request.source))
+    return confirmation_of(source)
+
+
+confirm = python_call(Confirm, _confirm)
 
 
 @checked()

@@ -38,6 +38,7 @@ from bench.services.learned import (
     with_effects,
     with_meters,
 )
+from bench.services.requests.shared import OnReadings, runs_folder
 from bench.services.traceability import Traced, trace
 
 if TYPE_CHECKING:
@@ -67,6 +68,20 @@ class Request:
     g_m_s2: float | None = None
     out: Path | None = None
     skip_bad_rows: bool = False
+
+
+def reading(asked: OnReadings, *sources: Given | Path) -> Request:
+    """Return what reads the sources of a request; relative places are those of where the program was called."""
+    model = getattr(asked, "model", None)
+    return Request(
+        [str(source) if isinstance(source, Path) else source for source in sources],
+        runs_folder(asked.runs),
+        str(asked.bench) if isinstance(asked.bench, Path) else asked.bench,
+        None if model is None else Path(model),
+        asked.g,
+        getattr(asked, "out", None),
+        asked.skip_bad_rows,
+    )
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from bench.config.bench_file.traceability import Standing, corrections_of, stand
 from bench.config.devices.voltmeters import CERTIFICATE, VoltmeterForm
 from bench.readings.corrected import VOLTS, Corrections, corrected
 from bench.readings.table import Readings
+from bench.results.parts import CorrectionPart
 from bench.services.bench_selection import BenchTaken, Origin
 from drivers.clock import utc_now
 
@@ -50,6 +51,10 @@ class Traced:
             names = [standing.instrument for standing, why_not in self.entries if why_not == why]
             if why and why not in (_OTHER, _NOTHING):
                 yield f"readings not corrected by the certificate of {', '.join(names)}: {why}"
+
+    def parts(self) -> list[CorrectionPart]:
+        """Return what a result says of each certificate."""
+        return [CorrectionPart(**one) for one in self.to_json()]
 
     def to_json(self) -> list[dict[str, Any]]:
         """Return what a result says of each certificate."""

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from bench.results.schemas import RESULTS, model_of
 from docs.generators.markdown import code, table
 
 FOLDER: Final = Path(__file__).parents[1] / "schemas"
@@ -24,9 +25,9 @@ standard uncertainties unless the name is `U`.
 
 def schemas() -> dict[str, dict[str, Any]]:
     """Return the schemas by name, those of most use first."""
-    names = sorted(path.stem for path in FOLDER.glob("*.json"))
-    ordered = [*_FIRST, *(name for name in names if name not in _FIRST)]
-    return {name: json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8")) for name in ordered}
+    kept = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in FOLDER.glob("*.json")}
+    found = {**kept, **{name: model_of(name).schema_of(name) for name in RESULTS}}
+    return {name: found[name] for name in (*_FIRST, *sorted(found.keys() - set(_FIRST)))}
 
 
 def page() -> str:

@@ -11,7 +11,6 @@ from rich.table import Table
 from bench.base.computing import quiet
 from bench.base.numbers import concise, quantity, typeset
 from bench.diagnosis import Diagnosis, NamedEffect
-from bench.diagnosis.confirm import Confirmation
 from bench.diagnosis.full import FullDiagnosis, Rival, TooLittleLeft
 from bench.diagnosis.residual_search import UNNAMED_FORM
 from bench.diagnosis.show import Shown
@@ -233,25 +232,3 @@ def _files(full: FullDiagnosis, out: Console) -> None:
             out.print(f"{what}: {file}")
     if full.diagnosis.of_copy == "confounded" and full.model is None:
         out.print(f"no model file is written {words.why_no_model(full.diagnosis)}")
-
-
-def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], out: Console) -> None:
-    """Print what became of the effects of a model in new readings, and the one number."""
-    for note in notes:
-        if not quiet.get():
-            out.print(f"note: {note}")
-    for effect in found.effects:
-        for line in words.effect_now_in_words(effect):
-            out.print(line)
-    out.print(
-        f"Reduced chi-square {found.before.reduced:.2f} without the model, {found.after.reduced:.2f} with it "
-        f"(noise alone: 1; {typeset(words.p_in_words(found.p_after, 2))} with it)"
-    )
-    # where the values are others, what is found beside them makes up for that
-    left = words.beside_in_words(found.diagnosis)
-    if left and found.verdict == "confirmed":
-        out.print(f"Something else is in these readings: {left}; 'bench diagnose' with this model tells it")
-    closed = words.closed_in_words(
-        found.closed, found.before.rms_g, found.after.rms_g, found.after.expected_rms_g
-    )
-    out.print(f"{source}: {found.verdict.upper()}: {closed}", style="bold")

@@ -1,0 +1,151 @@
+"""The result of `bench confirm`: what became of a model's effects in new readings, as JSON and as text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+from pydantic import Field
+from rich.console import Console
+
+from bench.base.computing import quiet
+from bench.base.numbers import typeset
+from bench.base.result_model import Real, ResultModel
+from bench.diagnosis.confirm import Confirmation, EffectNow
+from bench.diagnosis.gap import FLOOR
+from bench.results.diagnosis import words
+from bench.results.parts import BenchPart, CorrectionPart
+
+Became = Literal["confirmed", "changed", "gone"]
+
+
+class ParameterNow(ResultModel):
+    """A parameter of an effect, as the model has it and as these readings alone say it."""
+
+    parameter: str
+    channel: str | None
+    value: float = Field(description="the model's")
+    u: float = Field(description="the model's; 0 where it states none")
+    now: float = Field(description="as these readings alone say it")
+    u_now: float
+    unit: str
+
+
+class EffectPart(ResultModel):
+    """An effect of the model in the new readings."""
+
+    name: str
+    channels: list[str]
+    installations: list[str]
+    verdict: Became | None = Field(description="null where these readings do not show it")
+    p_same: float = Field(description="chance of values so far from the model's")
+    p_none: float = Field(description="chance of values so far from none")
+    parameters: list[ParameterNow]
+
+
+class ConfirmResult(ResultModel):
+    """New readings with and without a model that was found in others, and what became of its effects."""
+
+    closed: Real = Field(
+        description="(before - after)/(before - floor): the part of the gap that the model closes; null where "
+        "nothing is above the floor"
+    )
+    before: Real = Field(description="reduced chi-square of the new readings without the model's effects")
+    after: Real = Field(description="the same with them, at the model's values")
+    floor: float = Field(description="its expectation when nothing is missing")
+    p_after: Real = Field(description="chance of more than `after`")
+    before_rms_ug: Real = Field(description="root mean square of measured less simulated, µg")
+    after_rms_ug: Real = Field(description="the same with the model's effects, µg")
+    expected_rms_ug: Real = Field(description="what noise alone would leave, µg")
+    verdict: Became = Field(
+        description="confirmed where every effect that shows is as it was (p_same of 0.01 or more) and half of "
+        "the gap closes; gone where none is there (p_none of 0.01 or more)"
+    )
+    effects: list[EffectPart]
+    left: Literal["agrees", "mistake", "named", "confounded", "unknown"] = Field(
+        description="verdict of a diagnosis of the new readings with the model"
+    )
+    model: str = Field(description="path of the model file")
+    source: str
+    bench: BenchPart
+    corrections: list[CorrectionPart]
+    simulated: bool
+    notes: list[str]
+
+
+def effect_part(now: EffectNow) -> EffectPart:
+    """Return what became of an effect, as the result has it."""
+    return EffectPart(
+        name=now.applied.effect.name,
+        channels=list(now.applied.channels),
+        installations=list(now.applied.installations),
+        verdict=now.verdict,
+        p_same=now.p_same,
+        p_none=now.p_none,
+        parameters=[
+            ParameterNow(
+                parameter=was.parameter,
+                channel=was.channel or None,
+                value=was.value,
+                u=was.u,
+                now=here.value,
+                u_now=here.u,
+                unit=was.unit,
+            )
+            for was, here in zip(now.found, now.now, strict=True)
+        ],
+    )
+
+
+def confirm_result(
+    found: Confirmation,
+    *,
+    model: str,
+    source: str,
+    bench: BenchPart,
+    corrections: Sequence[CorrectionPart],
+    simulated: bool,
+    notes: Sequence[str],
+) -> ConfirmResult:
+    """Return what was found of new readings and a model, with what they were made from, as `--json` writes it."""
+    return ConfirmResult(
+        closed=found.closed,
+        before=found.before.reduced,
+        after=found.after.reduced,
+        floor=FLOOR,
+        p_after=found.p_after,
+        before_rms_ug=1e6 * found.before.rms_g,
+        after_rms_ug=1e6 * found.after.rms_g,
+        expected_rms_ug=1e6 * found.after.expected_rms_g,
+        verdict=found.verdict,
+        effects=[effect_part(effect) for effect in found.effects],
+        left=found.diagnosis.verdict,
+        model=model,
+        source=source,
+        bench=bench,
+        corrections=list(corrections),
+        simulated=simulated,
+        notes=list(notes),
+    )
+
+
+def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], out: Console) -> None:
+    """Print what became of the effects of a model in new readings, and the one number."""
+    for note in notes:
+        if not quiet.get():
+            out.print(f"note: {note}")
+    for effect in found.effects:
+        for line in words.effect_now_in_words(effect):
+            out.print(line)
+    out.print(
+        f"Reduced chi-square {found.before.reduced:.2f} without the model, {found.after.reduced:.2f} with it "
+        f"(noise alone: 1; {typeset(words.p_in_words(found.p_after, 2))} with it)"
+    )
+    # where the values are others, what is found beside them makes up for that
+    left = words.beside_in_words(found.diagnosis)
+    if left and found.verdict == "confirmed":
+        out.print(f"Something else is in these readings: {left}; 'bench diagnose' with this model tells it")
+    closed = words.closed_in_words(
+        found.closed, found.before.rms_g, found.after.rms_g, found.after.expected_rms_g
+    )
+    out.print(f"{source}: {found.verdict.upper()}: {closed}", style="bold")

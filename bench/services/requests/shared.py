@@ -1,0 +1,66 @@
+"""What requests share: readings with their bench and model, and where things are."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from bench.base.requests import Option
+
+if TYPE_CHECKING:
+    from typing import TypeAlias
+
+    import pandas as pd
+
+    from bench.config.bench_file.file import BenchFile
+    from bench.readings.table import Readings
+
+    Data: TypeAlias = str | Path | Readings | pd.DataFrame
+    """A readings file by path, a run by name or path, or a table in memory."""
+    Bench: TypeAlias = str | Path | BenchFile | None
+    """A bench file by path or name, or one at hand; None as the commands take it."""
+    Effects: TypeAlias = str | Path | Sequence[str | Path] | None
+    """Files with effects of the user's own, as formulas."""
+else:
+    Data = Bench = Effects = Any  # the command line reads names
+
+BenchField = Annotated[
+    Bench,
+    Option(
+        "Bench file, by path or name (default: BENCH_FILE).",
+        metavar="FILE",
+        completes="bench_files",
+        typed=str | None,
+    ),
+]
+GravityField = Annotated[
+    float | None, Option("Local gravity, m/s², in place of the bench file's.", metavar="M/S2")
+]
+SkipField = Annotated[bool, Option("Leave out rows that cannot be read.", ("--skip-bad-rows",))]
+RunsField = Annotated[
+    str | Path | None,
+    Option(
+        "Folder in which runs live (default: ./runs).",
+        metavar="DIR",
+        environment="BENCH_RUNS",
+        typed=Path | None,
+    ),
+]
+
+
+def runs_folder(runs: str | Path | None) -> Path:
+    """Return the folder in which runs live: the one given, that of BENCH_RUNS, or `runs` here."""
+    return Path(runs or os.environ.get("BENCH_RUNS") or "runs")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnReadings:
+    """What requests on readings share: the bench that measured them, and where runs live."""
+
+    bench: BenchField = None
+    g: GravityField = None
+    skip_bad_rows: SkipField = False
+    runs: RunsField = None
