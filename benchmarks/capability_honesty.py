@@ -17,9 +17,9 @@ import numpy as np
 from scipy import stats
 
 from bench.base.arrays import Mask
-from bench.history.intercomparison.capability import YEAR, Apart, capability
-from bench.history.intercomparison.crossed import EXCESS, Crossing, fit
-from bench.history.intercomparison.measured import Measured
+from bench.history.capability import YEAR, Apart, capability
+from bench.history.equivalence import Measured
+from bench.stats.crossed_effects import EXCESS, Crossing, fit
 
 CASES = (
     (30, 5, 3, (1.0, 0.0, 0.0, 0.5)),

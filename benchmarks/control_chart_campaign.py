@@ -18,16 +18,18 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.history.control_charts.statistics import (
+from bench.stats.control_charts import (
     ALIKE_P,
     Basis,
     Design,
     centre_of,
     components_of,
+    ewma_arl,
     judge,
+    mewma_arl,
+    shewhart_arl,
     short_term,
 )
-from bench.stats.run_length import ewma_arl, mewma_arl, shewhart_arl
 
 P: Final = 12
 LATER: Final = 25

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.history.intercomparison.crossed import Crossing, fit, solve
+from bench.stats.crossed_effects import Crossing, fit, solve
 
 
 @dataclass(frozen=True)

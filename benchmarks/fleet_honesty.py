@@ -21,8 +21,8 @@ from scipy import stats
 from bench.base.arrays import Floats
 from bench.history.comparison import SECONDS_PER_YEAR
 from bench.history.drift import history_drift
-from bench.history.intercomparison.measured import STANDARD_GRAVITY, Measured
-from bench.history.intercomparison.prior import join, prior_of
+from bench.history.equivalence import STANDARD_GRAVITY, Measured
+from bench.history.prior import join, prior_of
 
 FIRST = np.datetime64("2020-01-01", "s")
 BATCH = 500

@@ -28,9 +28,9 @@ import numpy as np
 from scipy.stats import binomtest
 
 from bench.calibration.batch import Batch, calibrate_batch
-from bench.history.learning.body import run_fit
-from bench.history.learning.learn import learn
-from bench.history.learning.result import Learned, MeterRun, meter_differences
+from bench.history.learned import Learned, MeterRun, meter_differences
+from bench.history.learning import learn
+from bench.history.run_sums import run_fit
 from bench.model import ForwardModel
 from bench.model.block import COEFFICIENTS
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2, Installation

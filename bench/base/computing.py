@@ -19,6 +19,10 @@ _T = TypeVar("_T")
 _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 
+class CalibrationError(ValueError):
+    """The readings cannot give what was asked of them; the text says why and what would."""
+
+
 @contextmanager
 def heard_by(listener: Listener | None) -> Iterator[None]:
     """Tell a listener of all that is `tracked` while the context lasts; None: nobody."""

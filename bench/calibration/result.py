@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, HasCovariance, rms, u_of
+from bench.base.computing import CalibrationError as CalibrationError  # noqa: PLC0414 - known by this name, too
 from bench.base.numbers import finite_or_none
 from bench.model.block import COEFFICIENTS, Block
 from bench.readings.table import Readings
@@ -63,10 +64,6 @@ NOT_ACCEPTED_P: Final = 1e-4
 
 HARDLY_BETTER = 0.95
 """An uncertainty that is left to such a part of what it was before has learnt nothing worth the name."""
-
-
-class CalibrationError(ValueError):
-    """The readings cannot give what was asked of them; the text says why and what would."""
 
 
 @dataclass(frozen=True)

@@ -17,16 +17,19 @@ from bench.catalogue.questions import condition_of
 from bench.catalogue.schema import CALIBRATIONS, RUNS
 from bench.catalogue.store import Catalogue
 from bench.history.comparison import Joint, Snapshot, joint_covariances, joint_of
-from bench.history.intercomparison.equivalence import (
+from bench.history.equivalence import (
+    STANDARD_GRAVITY,
     Equivalence,
+    Measured,
     Pair,
     Participants,
     Together,
+    coded,
     equivalence,
     pairs,
+    to_standard_gravity,
     together,
 )
-from bench.history.intercomparison.measured import STANDARD_GRAVITY, Measured, coded, to_standard_gravity
 from bench.model.block import COEFFICIENTS
 from bench.services.coefficients import snapshots_in
 from bench.services.errors import Refused

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.history.control_charts.chart import ControlChart
+    from bench.history.control_chart import ControlChart
     from bench.services.check_block import CheckBlockChart
 
 LAST_ROWS = 12

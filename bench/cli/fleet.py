@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from bench.catalogue.values import CoefficientTable, Compared
-    from bench.history.intercomparison.measured import Measured
+    from bench.history.equivalence import Measured
 
 GROUP: Final = typer.Typer(
     name="fleet",
@@ -43,7 +43,7 @@ CatalogueOption = Annotated[
 def effects(query: Query = None, catalogue: CatalogueOption = None, json: JsonOption = None) -> int:
     """Is it the bench or the block: sizes of what units, benches and time bring, and who stands out."""
     from bench.cli import fleet_tables
-    from bench.history.intercomparison.bench_or_block import bench_or_block
+    from bench.history.bench_or_block import bench_or_block
 
     printing.check_target(json)
     measured, notes = _measured(query, catalogue)
@@ -108,7 +108,7 @@ def prior(
 ) -> int:
     """What the units of a type tell of a further one, as a file for 'bench calibrate --prior'."""
     from bench.cli import fleet_tables
-    from bench.history.intercomparison.prior import prior_of
+    from bench.history.prior import prior_of
 
     printing.check_target(json)
     measured, notes = _measured(query, catalogue)
@@ -142,7 +142,7 @@ def drift(
 
     from bench.cli import fleet_tables
     from bench.history.drift import unit_drift
-    from bench.history.intercomparison.measured import STANDARD_GRAVITY
+    from bench.history.equivalence import STANDARD_GRAVITY
 
     printing.check_target(json)
     date = None if at is None else _date(at)
@@ -183,7 +183,7 @@ def cmc(
 ) -> int:
     """The laboratory's calibration and measurement capability, from its history (ILAC-P14)."""
     from bench.cli import fleet_tables
-    from bench.history.intercomparison.capability import capability
+    from bench.history.capability import capability
 
     printing.check_target(json)
     measured, notes = _measured(query, catalogue)
@@ -214,7 +214,7 @@ def _measured(query: list[str] | None, catalogue: str | None) -> tuple[Measured,
 
 
 def _method(asked: str | None) -> str | None:
-    from bench.history.intercomparison.equivalence import METHODS
+    from bench.history.equivalence import METHODS
 
     known = {method.lower().replace(" ", "-"): method for method in METHODS}
     if asked is not None and asked not in known:

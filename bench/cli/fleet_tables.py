@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from bench.catalogue.values import Compared
+    from bench.history.bench_or_block import BenchOrBlock
+    from bench.history.capability import Capability
     from bench.history.drift import UnitDrift
-    from bench.history.intercomparison.bench_or_block import BenchOrBlock
-    from bench.history.intercomparison.capability import Capability
-    from bench.history.intercomparison.prior import Prior
+    from bench.history.prior import Prior
 
 MOST_SHOWN: Final = 12
 """Benches or units that are named in a terminal; the JSON has all."""

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from bench.config.bench_file.file import BenchFile
-    from bench.history.stability.noise_terms import AllanCurve, Averaging, NoiseTerms, ReadingAdvice
-    from bench.history.stability.static_record import StaticRecord
+    from bench.history.stability import Averaging, ReadingAdvice, StaticRecord
     from bench.services.bench_selection import BenchTaken
+    from bench.stats.allan import AllanCurve, NoiseTerms
 
 AXES = "xyz"
 
@@ -99,7 +99,7 @@ def _bench_of(record: str, runs: Path, bench: str | None) -> tuple[BenchTaken, t
 def _record(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, float | None]:
     """Return the record, and how long each sample integrated where a run tells it."""
     from bench.config.procedure.plan import Read
-    from bench.history.stability.static_record import from_columns, read_static
+    from bench.history.stability import from_columns, read_static
     from bench.run.folder import find_run
 
     path = Path(name)
@@ -122,7 +122,8 @@ def _record(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, floa
 
 def _findings(record: StaticRecord, bench: BenchFile, size: float | None, integration_s: float) -> _Findings:
     from bench.calibration import CalibrationError
-    from bench.history.stability.noise_terms import allan_curve, averaging, fit_terms, reading_advice
+    from bench.history.stability import averaging, reading_advice
+    from bench.stats.allan import allan_curve, fit_terms
 
     channels = tracked(range(3), "Allan deviation of the channels")
     curves = [allan_curve(record.signal[:, i], record.interval_s) for i in channels]
@@ -172,7 +173,7 @@ def _json(record: StaticRecord, found: _Findings) -> dict[str, Any]:
 
 
 def _print(record: StaticRecord, found: _Findings, bench: BenchFile, out: Console) -> None:
-    from bench.history.stability.noise_terms import MISFIT_P
+    from bench.stats.allan import MISFIT_P
 
     out.print(
         f"Static record {record.source}: {len(record.signal)} samples of {record.interval_s:.4g} s, "
@@ -200,7 +201,7 @@ def _print(record: StaticRecord, found: _Findings, bench: BenchFile, out: Consol
 
 def _table(record: StaticRecord, found: _Findings) -> Table:
     """A column for each channel: mean, drift, the noise terms with u or what they are below, the averaging."""
-    from bench.history.stability.noise_terms import TERMS
+    from bench.stats.allan import TERMS
 
     unit = record.unit
     table = printing.table("", *(f">{axis}" for axis in AXES))
@@ -218,7 +219,7 @@ def _signed(value: float, unit: str) -> str:
 
 
 def _shown(terms: NoiseTerms, k: int, unit: str) -> str:
-    from bench.history.stability.noise_terms import TERMS
+    from bench.stats.allan import TERMS
 
     if terms.shown[k]:
         share = terms.u[k] / terms.values[k]

@@ -16,7 +16,7 @@ from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.known import METERS_DRIFT, drifted
 from bench.calibration.result import CalibrationError
 from bench.model.block import COEFFICIENTS
-from bench.stats.multiple_testing import holm
+from bench.stats import holm
 
 CHANGED_P: Final = 0.05
 """A coefficient changed when chance alone would show any change so large, in all looks, less often than this."""

@@ -11,10 +11,10 @@ from bench.base.arrays import CHANNELS
 from bench.base.numbers import scale_for
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.history.comparison import Comparison
-from bench.history.intercomparison.equivalence import Equivalence
-from bench.history.stability.noise_terms import AllanCurve, NoiseTerms
+from bench.history.equivalence import Equivalence
 from bench.model.block import COEFFICIENTS
 from bench.results.plots import BLUE, GREEN, GREY, VERMILION, svg_file, symbol
+from bench.stats.allan import AllanCurve, NoiseTerms
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -25,8 +25,8 @@ from bench.calibration.signal_units import refuse_mixed_units, sheet_of
 from bench.calibration.temperature.plateaus import separate_temperatures
 from bench.config.prior_file import PriorFile, load_prior
 from bench.exchange.result import BlockResult
-from bench.history.intercomparison.measured import STANDARD_GRAVITY
-from bench.history.intercomparison.prior import CONFLICT_P, Joined, Prior, join
+from bench.history.equivalence import STANDARD_GRAVITY
+from bench.history.prior import CONFLICT_P, Joined, Prior, join
 from bench.model.block import COEFFICIENTS, Block
 from bench.services.coefficients import Coefficients, block_result
 from bench.services.errors import Refused

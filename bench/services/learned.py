@@ -16,7 +16,7 @@ from bench.calibration.known import METERS_DRIFT, KnownNoise, KnownStand
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile, FileMistakes, load_recorded_bench
 from bench.config.bench_file.learned import LearnedFile, MetersEntry
-from bench.history.learning.result import Contrasts, MeterDifferences, MeterRun, exchanged, meter_differences
+from bench.history.learned import Contrasts, MeterDifferences, MeterRun, exchanged, meter_differences
 from bench.model.effects import AppliedEffect, Effect
 from bench.model.forward import ForwardModel
 from bench.readings.corrected import VOLTS

@@ -17,9 +17,9 @@ from bench.base.tables import as_text, table
 from bench.calibration.budget.sources import assumed_stand
 from bench.config.bench_file.learned import arcsec, learned_for, write_learned
 from bench.config.model_file import load_model
-from bench.history.learning.body import RunFit, run_fit
-from bench.history.learning.learn import learn as learn_from
-from bench.history.learning.result import WAVE_NAMES, Learned
+from bench.history.learned import WAVE_NAMES, Learned
+from bench.history.learning import learn as learn_from
+from bench.history.run_sums import RunFit, run_fit
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.effects import Subsystem
 from bench.services.errors import Refused

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.stats.multiple_testing import holm
+from bench.stats import holm
 
 
 def test_holm_is_that_of_its_published_example():

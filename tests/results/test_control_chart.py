@@ -6,9 +6,9 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from bench.history.control_charts.chart import CheckRun, control_chart
-from bench.history.control_charts.statistics import Design
+from bench.history.control_chart import CheckRun, control_chart
 from bench.results.control_chart import ChartOfBlock, render_chart
+from bench.stats.control_charts import Design
 
 NOTHING = np.zeros((12, 12))
 U = 1e-4

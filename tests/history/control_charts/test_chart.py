@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from bench.calibration.result import CalibrationError
-from bench.history.control_charts.chart import CheckRun, KnownDrift, Reference, control_chart
-from bench.history.control_charts.statistics import Design, components_of, drift_of, short_term
+from bench.history.control_chart import CheckRun, KnownDrift, Reference, control_chart
+from bench.stats.control_charts import Design, components_of, drift_of, short_term
 
 BEGUN = datetime(2026, 3, 1, 8, tzinfo=UTC)
 U = np.geomspace(1e-5, 1e-4, 12)

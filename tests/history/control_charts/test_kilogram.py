@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.history.control_charts.statistics import centre_of, judge, short_term
+from bench.stats.control_charts import centre_of, judge, short_term
 
 DATA = Path(__file__).parents[2] / "data" / "kilogram-check.csv"
 SMOOTHING = 0.2

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.stats.run_length import ewma_arl, ewma_k, mewma_arl, mewma_limit, shewhart_arl, shewhart_k
+from bench.stats.control_charts import ewma_arl, ewma_k, mewma_arl, mewma_limit, shewhart_arl, shewhart_k
 
 SHIFTS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
 LUCAS_SACCUCCI = {

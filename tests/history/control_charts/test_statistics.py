@@ -7,7 +7,7 @@ from statsmodels.stats.multivariate import test_mvmean as hotelling
 from statsmodels.stats.weightstats import DescrStatsW
 
 from bench.calibration.result import CalibrationError
-from bench.history.control_charts.statistics import Centre, centre_of, judge, without_one
+from bench.stats.control_charts import Centre, centre_of, judge, without_one
 
 HANDBOOK = np.array([
     52.0, 47.0, 53.0, 49.3, 50.1, 47.0, 51.0, 50.1, 51.2, 50.5,

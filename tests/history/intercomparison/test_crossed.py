@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.history.intercomparison.bench_or_block import allotment
-from bench.history.intercomparison.crossed import BENCH, EXCESS, UNIT, Crossing, fit, most, solve
+from bench.history.bench_or_block import allotment
+from bench.stats.crossed_effects import BENCH, EXCESS, UNIT, Crossing, fit, most, solve
 from benchmarks.crossed_effects import drawn
 
 

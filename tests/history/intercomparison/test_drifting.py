@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.history.intercomparison import capability as capability_module
-from bench.history.intercomparison.capability import YEAR, Within, apart, capability, histories
-from bench.history.intercomparison.crossed import EXCESS, Crossing, fit
+from bench.history import capability as capability_module
+from bench.history.capability import YEAR, Within, apart, capability, histories
+from bench.stats.crossed_effects import EXCESS, Crossing, fit
 from benchmarks.capability_honesty import laboratory
 
 VARIANCES = np.array([0.8, 0.5, 0.3, 0.7])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.calibration.result import CalibrationError
-from bench.history.intercomparison.equivalence import (
+from bench.history.equivalence import (
     DERSIMONIAN_LAIRD,
     MANDEL_PAULE,
     WEIGHTED_MEAN,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bench.calibration.result import CalibrationError
-from bench.history.intercomparison.capability import capability
-from bench.history.intercomparison.measured import STANDARD_GRAVITY, Measured
-from bench.history.intercomparison.prior import join, prior_of
+from bench.history.capability import capability
+from bench.history.equivalence import STANDARD_GRAVITY, Measured
+from bench.history.prior import join, prior_of
 
 DAY = np.datetime64("2026-01-01")
 

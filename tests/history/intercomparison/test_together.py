@@ -10,7 +10,7 @@ from scipy import stats
 
 from bench.calibration.known import METERS_DRIFT
 from bench.history.comparison import Snapshot, joint_covariances, joint_of
-from bench.history.intercomparison.equivalence import Participants, equivalence, pairs, together
+from bench.history.equivalence import Participants, equivalence, pairs, together
 
 UNIT = np.array([0, 0, 0, 1, 1, 1, 2, 2])
 BENCH = np.array([0, 1, 2, 0, 1, 2, 0, 1])

@@ -6,8 +6,8 @@ from scipy import stats
 
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import CalibrationError
-from bench.history.learning.body import run_fit
-from bench.history.learning.learn import learn
+from bench.history.learning import learn
+from bench.history.run_sums import run_fit
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2, Installation
 from tests.support.learning_bench import KINDS, STATED, Bench, simulate

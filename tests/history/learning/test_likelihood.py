@@ -6,8 +6,8 @@ import pytest
 from scipy import linalg
 from statsmodels.regression.mixed_linear_model import MixedLM
 
-from bench.history.learning.body import Body
-from bench.history.learning.likelihood import Beliefs, at, fitted, maximise
+from bench.history.learning import Beliefs, at, fitted, maximise
+from bench.history.run_sums import Body
 
 
 def drawn(seed, runs=6, repeats=4, columns=3, waves=2):

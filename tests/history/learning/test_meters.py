@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.history.learning.result import (
+from bench.history.learned import (
     NOT_EXCHANGED,
     ONE_METER,
     TOO_FEW,

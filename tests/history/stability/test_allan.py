@@ -9,7 +9,7 @@ import pytest
 from allantools.ci import edf_greenhall
 
 from bench.calibration import CalibrationError
-from bench.history.stability.noise_terms import AllanCurve, allan_curve
+from bench.stats.allan import AllanCurve, allan_curve
 from tests.support.patience import PATIENCE_S
 
 WHITE, FLICKER, WALK = 0, -1, -2
@@ -122,8 +122,8 @@ def test_a_bench_finds_the_deviation_without_the_tools_of_tests():
     program = (
         "import sys\n"
         "for name in ('allantools', 'pytest', 'sphinx', 'numpydoc'): sys.modules[name] = None\n"
-        "from bench.history.stability.noise_terms import allan_curve\n"
-        "from bench.history.stability.noise_terms import fit_terms\n"
+        "from bench.stats.allan import allan_curve\n"
+        "from bench.stats.allan import fit_terms\n"
         "import numpy as np\n"
         "assert fit_terms(allan_curve(np.random.default_rng(33).normal(size=500), 1.0)).shown[1]\n"
     )

@@ -8,16 +8,9 @@ import pytest
 from scipy import stats
 
 from bench.calibration import CalibrationError
-from bench.history.stability.noise_terms import (
-    TERMS,
-    NoiseTerms,
-    allan_curve,
-    averaging,
-    fit_terms,
-    reading_advice,
-)
-from bench.history.stability.static_record import from_columns, read_static
+from bench.history.stability import averaging, from_columns, read_static, reading_advice
 from bench.readings.csv import ReadingsError
+from bench.stats.allan import TERMS, NoiseTerms, allan_curve, fit_terms
 
 DATA = Path(__file__).parents[2] / "data"
 STANDARD_GRAVITY = 9.80665

@@ -1,4 +1,4 @@
-"""Degrees of equivalence of benches, one coefficient at a time and all twelve together."""
+"""Degrees of equivalence of benches that measured the same units: by coefficient, and all twelve together."""
 
 from __future__ import annotations
 
@@ -8,13 +8,82 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg, optimize, special
 
-from bench.base.arrays import Floats, Ints, u_of
+from bench.base.arrays import Floats, Ints, Labels, Mask, u_of
 from bench.base.numbers import finite_or_none
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
-from bench.stats.multiple_testing import holm
+from bench.model.block import COEFFICIENTS
+from bench.stats import holm
+
+STANDARD_GRAVITY: Final = 9.80665
+"""Scale factors of several places are compared per g of so many m/s^2."""
+
+LEAST_OWN: Final = 1e-3
+"""Of a stated variance at least this part is taken as a calibration's own."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """n calibrations: which `unit` of which `kind` (n,) on which `bench` (n,), and `when` (n,).
+
+    `vector` (n, 12) in `signal`/g with g = `STANDARD_GRAVITY`, biases in `signal`, `covariance` (n, 12, 12) as
+    stated; `meters` (n, 12) is the part of u that the same meters bring to each of their calibrations (zero where
+    nobody stated one); `simulated` tells that all were found on simulated instruments. Raises `CalibrationError`
+    where nothing is left of them.
+    """
+
+    unit: Labels
+    kind: Labels
+    bench: Labels
+    when: NDArray[np.datetime64]
+    vector: Floats
+    covariance: Floats
+    meters: Floats
+    signal: str
+    simulated: bool
+
+    def __post_init__(self) -> None:
+        """Refuse an empty table."""
+        if not len(self.unit):
+            raise CalibrationError("no calibration with a unit, a bench and all twelve coefficients is left")
+
+    def __len__(self) -> int:
+        """Return the number of calibrations."""
+        return len(self.unit)
+
+    def of(self, kept: Mask | Ints) -> Measured:
+        """Return some of them."""
+        return Measured(
+            self.unit[kept], self.kind[kept], self.bench[kept], self.when[kept], self.vector[kept],
+            self.covariance[kept], self.meters[kept], self.signal, self.simulated,
+        )  # fmt: skip
+
+    @property
+    def variance(self) -> Floats:
+        """Stated variances, (n, 12)."""
+        return np.asarray(np.diagonal(self.covariance, axis1=1, axis2=2))
+
+    @property
+    def own_variance(self) -> Floats:
+        """Stated variances without what the same meters bring again, (n, 12)."""
+        return np.maximum(self.variance - self.meters**2, LEAST_OWN * self.variance)
+
+
+def to_standard_gravity(g_m_s2: Floats) -> Floats:
+    """Return what coefficients found where g is `g_m_s2` (n,) are to be multiplied by, (n, 12)."""
+    factor = np.ones((len(g_m_s2), len(COEFFICIENTS)))
+    factor[:, :9] = (STANDARD_GRAVITY / g_m_s2)[:, None]
+    return factor
+
+
+def coded(labels: Sequence[str] | Labels) -> tuple[Labels, Ints]:
+    """Return the different labels, sorted, and which of them each is, counted from 0."""
+    names, codes = np.unique(np.asarray(labels, dtype=str), return_inverse=True)
+    return names, codes.astype(np.int64)
+
 
 CONSISTENT_P: Final = 0.05
 """Values agree with their stated uncertainties where chance gives as much disagreement at least this often."""

@@ -14,9 +14,9 @@ from bench.base.arrays import Floats, Ints
 from bench.base.numbers import finite_or_none
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
-from bench.history.intercomparison.crossed import Crossing
-from bench.history.intercomparison.measured import STANDARD_GRAVITY, Measured, coded
+from bench.history.equivalence import STANDARD_GRAVITY, Measured, coded
 from bench.model.block import COEFFICIENTS
+from bench.stats.crossed_effects import Crossing
 
 BENCH, SCATTER, RATE, WALK = 0, 1, 2, 3
 STEADY: Final = (BENCH, SCATTER)

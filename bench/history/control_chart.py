@@ -13,7 +13,8 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.base.numbers import MINUS, finite_or_none, probability
 from bench.calibration.result import CalibrationError
-from bench.history.control_charts.statistics import (
+from bench.model.block import COEFFICIENTS
+from bench.stats.control_charts import (
     ALIKE_P,
     Centre,
     Components,
@@ -29,7 +30,6 @@ from bench.history.control_charts.statistics import (
     short_term,
     without_one,
 )
-from bench.model.block import COEFFICIENTS
 
 FEW_RUNS = 8
 """With fewer in the baseline, limits are wide: the page says so."""

@@ -11,7 +11,10 @@ from scipy import special
 from bench.base.arrays import Floats, Ints, Labels, rms, u_of
 from bench.base.numbers import finite_or_none
 from bench.calibration.result import CalibrationError
-from bench.history.intercomparison.crossed import (
+from bench.history.equivalence import Measured, coded
+from bench.model.block import COEFFICIENTS
+from bench.stats import holm
+from bench.stats.crossed_effects import (
     BENCH,
     EXCESS,
     UNIT,
@@ -23,9 +26,6 @@ from bench.history.intercomparison.crossed import (
     scales_of,
     solve,
 )
-from bench.history.intercomparison.measured import Measured, coded
-from bench.model.block import COEFFICIENTS
-from bench.stats.multiple_testing import holm
 
 FLAT: Final = 1e3
 """A size so many times the scatter is as good as none stated."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from scipy import linalg, sparse, special
@@ -13,10 +13,6 @@ from scipy.sparse import csgraph
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints
 from bench.base.numbers import finite_or_none
 from bench.calibration.known import KnownStand
-
-if TYPE_CHECKING:
-    from bench.history.learning.likelihood import Contradiction
-
 
 NONE: Final = 1e-6
 """A variance that is no larger part of what was stated is none."""
@@ -88,6 +84,25 @@ class Variance:
         z = self.theta / max(self.u_theta, 1e-300)
         tail = float(np.exp(-0.5 * z**2 - special.log_ndtr(z)) / np.sqrt(2.0 * np.pi))
         return float(np.sqrt(max(self.theta * nu / (nu - 2.0), self.theta + self.u_theta * tail))) * self.unit
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A run that contradicts the others: in `what`, `size` times what is expected, `p` with all looks counted."""
+
+    run: str
+    what: str
+    size: float
+    p: float
+
+    @property
+    def sentence(self) -> str:
+        """Say it in words."""
+        return f"{self.run} contradicts the others: {self.what} is {self.size:.3g} times what they lead to expect"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the promised form."""
+        return {"run": self.run, "what": self.what, "size": self.size, "p": self.p, "sentence": self.sentence}
 
 
 @dataclass(frozen=True)

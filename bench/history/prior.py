@@ -16,7 +16,7 @@ from scipy import special
 
 from bench.base.arrays import Floats, Ints, u_of
 from bench.calibration.result import CalibrationError
-from bench.history.intercomparison.measured import STANDARD_GRAVITY, Measured, coded
+from bench.history.equivalence import STANDARD_GRAVITY, Measured, coded
 from bench.model.block import COEFFICIENTS
 
 LEAST_UNITS: Final = 6
