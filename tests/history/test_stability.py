@@ -12,7 +12,7 @@ from bench.history.stability import averaging, from_columns, read_static, readin
 from bench.readings.csv import ReadingsError
 from bench.stats.allan import TERMS, NoiseTerms, allan_curve, fit_terms
 
-DATA = Path(__file__).parents[2] / "data"
+DATA = Path(__file__).parents[1] / "data"
 STANDARD_GRAVITY = 9.80665
 Q, N, B, K, R = range(5)
 

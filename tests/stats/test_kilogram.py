@@ -13,7 +13,7 @@ from scipy import stats
 
 from bench.stats.control_charts import centre_of, judge, short_term
 
-DATA = Path(__file__).parents[2] / "data" / "kilogram-check.csv"
+DATA = Path(__file__).parents[1] / "data" / "kilogram-check.csv"
 SMOOTHING = 0.2
 YEAR, VALUE, SD = np.loadtxt(DATA, delimiter=",", skiprows=1).T
 BASELINE = YEAR < 1985.0
