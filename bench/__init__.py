@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from bench.config.bench_file.file import BenchFile as BenchFile
     from bench.readings.csv import ReadingsError as ReadingsError
     from bench.readings.table import Readings as Readings
-    from bench.run.manifest import RecordError as RecordError
+    from bench.run.events import RecordError as RecordError
     from bench.services.budget import BudgetResult as BudgetResult
     from bench.services.budget import budget as budget
     from bench.services.calibration import CalibrationResult as CalibrationResult
@@ -65,7 +65,7 @@ _HOMES: Final = {
     "bench.config.bench_file.file": ("BenchFile",),
     "bench.readings.csv": ("ReadingsError",),
     "bench.readings.table": ("Readings",),
-    "bench.run.manifest": ("RecordError",),
+    "bench.run.events": ("RecordError",),
 }  # fmt: skip
 """The public names, by the module in which they stand. The imports above tell a type checker the same."""
 

@@ -26,11 +26,10 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, Final
 
-from bench.run.answers import ANSWERS, LeftAnswer, OpenPrompt, leave_answer, understood_answer
-from bench.run.control import Who
 from bench.run.events import Event
 from bench.run.folder import Run
-from bench.run.history import parse_line, read_history
+from bench.run.person import ANSWERS, LeftAnswer, OpenPrompt, Who, leave_answer, understood_answer
+from bench.run.record import parse_line, read_history
 from benchmarks.kill_campaign import PROGRAM, differences
 from drivers.angles import format_dms, parse_angle
 from drivers.interfaces import Prompt, PromptKind

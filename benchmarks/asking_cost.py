@@ -19,12 +19,12 @@ from pathlib import Path
 from rich.console import Console
 
 from bench.run import record as record_module
-from bench.run.asking import Asker
-from bench.run.control import Who
+from bench.run.instruments import Instruments
+from bench.run.listening import Asker
+from bench.run.person import Who
 from bench.run.record import Record
 from bench.run.runner import Runner
 from bench.run.terminal import TerminalPerson
-from bench.run.workbench import Instruments
 from benchmarks.runner_cost import READINGS, Meter, plan
 from drivers.clock import utc_now
 from drivers.interfaces import Answer, Prompt

@@ -29,8 +29,8 @@ from hypothesis import HealthCheck, Phase, seed, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
+from bench.run.events import ENDED, RunState
 from bench.run.folder import Run
-from bench.run.states import ENDED, RunState
 from benchmarks.commands_desk import METERS, STOPPED, Desk, Said
 
 AT_MOST: Final = 4

@@ -29,14 +29,12 @@ from bench.model import ForwardModel
 from bench.panel import launching
 from bench.panel.access import Role
 from bench.panel.launching import Started
-from bench.run import asking
-from bench.run.answers import OpenPrompt
+from bench.run import listening
 from bench.run.assembly.instruments import simulated_instruments, world_of
-from bench.run.events import Event
+from bench.run.events import EVENTS, MANIFEST, Event, RunState
 from bench.run.folder import RESULTS, Run
-from bench.run.manifest import EVENTS, MANIFEST
+from bench.run.person import OpenPrompt
 from bench.run.record import Record
-from bench.run.states import RunState
 from bench.services.left_runs import taken_up
 from benchmarks.answering_campaign import answer_to
 from sim.bench import SimulatedBench
@@ -127,7 +125,7 @@ class Desk:
                 return event
 
             stack.enter_context(mock.patch.object(Record, "append", followed))
-            stack.enter_context(mock.patch.object(asking, "LISTEN_S", 0.002))
+            stack.enter_context(mock.patch.object(listening, "LISTEN_S", 0.002))
             stack.enter_context(mock.patch("bench.results.plots._written", return_value=EMPTY_FIGURE))
             self.browser = Browser(self.runs, "anna", Role.OPERATOR)
             stack.enter_context(self.browser.client)  # one loop, in which the panel follows runs

@@ -34,7 +34,7 @@ import yaml
 import bench.run.assembly.served
 from bench.base.arrays import ARCSEC
 from bench.config.bench_file.file import load_bench
-from bench.run.commission.cables import CABLE
+from bench.run.commission.course import CABLE
 from bench.services.instruments import PAGE, Setting, commission
 from benchmarks.fault_trials import ROOT, exact
 from drivers.interfaces import BenchError

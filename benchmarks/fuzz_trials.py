@@ -153,7 +153,7 @@ def called(command: list[str], stdin: bytes = b"") -> tuple[object, str, str]:
 
 def spoil_record(rng: random.Random, folder: Path) -> str:
     """Copy a run of the tests and spoil it; return what of it must be found, empty where it may be taken."""
-    from bench.run.manifest import sha256
+    from bench.run.events import sha256
 
     kept = ROOT / "tests/data/records" / rng.choice(("finished", "interrupted"))
     shutil.copytree(kept, folder)
@@ -283,8 +283,7 @@ def _scpi(rng: random.Random) -> list[tuple[str, str]]:
 def _answers(rng: random.Random) -> list[tuple[str, str]]:
     """Answers at a prompt: the one that is taken fits, and all else is asked again, a wish, or a sentence."""
     from bench.base.tables import Screen
-    from bench.run.answers import ask
-    from bench.run.control import OperatorWish
+    from bench.run.person import OperatorWish, ask
     from bench.run.terminal import TerminalPerson
     from drivers.interfaces import BenchError, Prompt, PromptKind
 

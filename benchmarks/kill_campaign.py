@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.run.folder import Run
-from bench.run.history import read_history
+from bench.run.record import read_history
 
 PROGRAM = [sys.executable, "-c", "from bench.cli.program import main; main()"]
 PROCEDURE = "quick"

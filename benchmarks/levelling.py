@@ -2,7 +2,7 @@
 
     python -m benchmarks.levelling --levellings 1000 --runs 300
 
-Levellings by `bench.run.levelling` with a level whose zero is 30 arcsec off in a direction of its own each time:
+Levellings by `bench.run.workbench` with a level whose zero is 30 arcsec off in a direction of its own each time:
 how often α1 and α2 of the platform, drawn here, lie within U = 2 u of what the record states, for an electronic
 level (noise, last digit, scale, axes as on the Nivel's data sheet) and a bubble that a person reads. Then
 calibrations of the paper's procedure with and without what the level showed, of the same readings, whose truth
@@ -31,8 +31,8 @@ from bench.model.block import COEFFICIENTS
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.corrected import Seen, with_levels
 from bench.readings.table import make_readings
-from bench.run.levelling import Levelling
-from bench.run.workbench import Instruments
+from bench.run.instruments import Instruments
+from bench.run.workbench import Levelling
 from drivers.interfaces import Answer, Direction, HeadPosition, Identity, Inclination, LevelSizes, Prompt
 from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from bench.config.procedure.plan import Mount, Plan, Turn
 from bench.model import Installation
-from bench.run.watch.suppositions import orientations
+from bench.run.expectation import orientations
 from drivers.interfaces import CHANNELS, Answer, Channel, Direction, Prompt
 from sim.world.operator import OperatorSettings, ScriptedOperator, scale_text
 from sim.world.world import World

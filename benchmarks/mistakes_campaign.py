@@ -44,11 +44,11 @@ from bench.config.procedure.plan import Mount, Plan, Read, Turn, Wait
 from bench.model import ForwardModel
 from bench.readings.reading import Reading
 from bench.run.assembly.instruments import operator_of, world_of
+from bench.run.early_warning import watcher_of
 from bench.run.events import Event, EventType, Mounted, result_to_json
+from bench.run.expectation import MOST_TOLD
 from bench.run.folder import Run
-from bench.run.mounting import mount_prompt
-from bench.run.watch.early_warning import watcher_of
-from bench.run.watch.expectation import MOST_TOLD
+from bench.run.person import mount_prompt
 from bench.services.calibration import calibration_of
 from bench.services.errors import Refused
 from bench.services.execution import carry_out, new_run

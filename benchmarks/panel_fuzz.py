@@ -32,9 +32,8 @@ from bench.panel.app import make_app, prepare
 from bench.panel.holding import JOURNAL
 from bench.panel.serving import config_of
 from bench.panel.settings import STATE, Settings
-from bench.run.answers import ANSWERS, asked_to_json, problem_with_answer
-from bench.run.control import CONTROL
-from bench.run.manifest import EVENTS
+from bench.run.events import EVENTS
+from bench.run.person import ANSWERS, CONTROL, asked_to_json, problem_with_answer
 from bench.run.record import Record
 from benchmarks.panel_requests import CHANGES, HOST, SECRET, Actor, Request, Requests
 from drivers.clock import utc_now

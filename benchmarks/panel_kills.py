@@ -26,9 +26,9 @@ from bench.panel.access import Access, Role
 from bench.panel.launching import Started, start
 from bench.panel.serving import begin_panel, url_of
 from bench.panel.settings import STATE
-from bench.run.answers import open_prompt
+from bench.run.events import EVENTS
 from bench.run.folder import Run
-from bench.run.manifest import EVENTS
+from bench.run.person import open_prompt
 from bench.run.record import is_being_written
 
 PATIENCE_S = 120.0
@@ -161,7 +161,7 @@ class Campaign:
         self.check_answers(name)
 
     def _same_question(self, name: str) -> bool:
-        on_disk = open_prompt(Run(self.runs / name).history)
+        on_disk = open_prompt(Run(self.runs / name).history.events)
         shown = self.person.state(name)
         return not shown["alive"] or (on_disk and on_disk.prompt.id) == (
             shown["prompt"] and shown["prompt"]["id"]

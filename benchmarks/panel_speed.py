@@ -32,8 +32,8 @@ from typing import Any, Final
 import numpy as np
 
 from bench.panel.access import Role
+from bench.run.events import EVENTS
 from bench.run.folder import Run
-from bench.run.manifest import EVENTS
 from bench.run.record import Record
 from benchmarks.record_size import make_record
 from drivers.clock import utc_now
@@ -92,7 +92,7 @@ def signed_in(url: str, token: str) -> urllib.request.OpenerDirector:
 
 def to_pixels(browser: Any, count: int) -> list[float]:
     """Return after how many ms each event was on the screen, from when it was on the disk."""
-    from bench.run.history import parse_line
+    from bench.run.record import parse_line
 
     with tempfile.TemporaryDirectory() as name:
         runs = Path(name)

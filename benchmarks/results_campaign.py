@@ -32,9 +32,8 @@ import scipy.optimize
 import scipy.stats  # noqa: F401
 
 from bench.cli import program
+from bench.run.events import EVENTS, RunState
 from bench.run.folder import RESULTS, Run
-from bench.run.manifest import EVENTS
-from bench.run.states import RunState
 
 MADE: Final = ("calibrate.json", "verify.json", "report.html")
 PATTERNS: Final = (

@@ -13,9 +13,9 @@ import time
 from pathlib import Path
 
 from bench.config.procedure.plan import Mount, Plan, Read, Turn
+from bench.run.instruments import Instruments
 from bench.run.record import Record
 from bench.run.runner import Runner
-from bench.run.workbench import Instruments
 from drivers.clock import utc_now
 from drivers.interfaces import Answer, Channel, Direction, HeadPosition, Identity, Prompt, VoltmeterSettings
 from sim.world.clock import VirtualClock

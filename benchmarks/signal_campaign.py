@@ -36,9 +36,9 @@ import yaml
 from bench.config.bench_file.file import load_bench
 from bench.model import ForwardModel
 from bench.run.assembly.instruments import simulated_instruments, world_of
-from bench.run.history import read_history
-from bench.run.interruptions import SIGNALS
-from bench.run.manifest import RecordError
+from bench.run.events import RecordError
+from bench.run.listening import SIGNALS
+from bench.run.record import read_history
 from sim.bench import SimulatedBench
 from sim.wires.faults import Fault, FaultKind
 from sim.world.clock import ScaledClock

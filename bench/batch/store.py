@@ -19,8 +19,8 @@ from bench.base.computing import tracked
 from bench.base.files import read_regular
 from bench.batch.job import COLUMNS, Job, Row, arrow_schema, program
 from bench.batch.stored import CALIBRATE_FILE, DIAGNOSE_FILE, VERIFY_FILE
+from bench.run.events import EVENTS, MANIFEST, sha256
 from bench.run.folder import BENCH, EFFECTS, IMPORTED, PLAN
-from bench.run.manifest import EVENTS, MANIFEST, sha256
 from bench.services.errors import Refused
 from drivers.clock import Clock, SystemClock, utc_now
 

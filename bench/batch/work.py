@@ -16,7 +16,7 @@ from bench.batch.stored import Found, Judged, Named, Stored, changes, stored_cal
 from bench.config.formulas import effects_in
 from bench.diagnosis.full import TooLittleLeft
 from bench.model import CATALOGUE, Effect
-from bench.run.manifest import RecordError, read_manifest, sha256
+from bench.run.events import RecordError, read_manifest, sha256
 from bench.services.calibration import CalibrationResult, calibration_of
 from bench.services.diagnosis import body_of, diagnosis_of
 from bench.services.documents import report_page

@@ -21,10 +21,18 @@ from bench.base.visible import visible
 from bench.catalogue.schema import key_of
 from bench.certificate.register import Register
 from bench.config.bench_file.file import BenchFile, load_recorded_bench
+from bench.run.events import (
+    EVENTS,
+    MANIFEST,
+    Manifest,
+    RecordError,
+    RunState,
+    read_manifest,
+    sha256,
+    state_after_one,
+)
 from bench.run.folder import BENCH, VERIFY, Run
-from bench.run.manifest import EVENTS, MANIFEST, Manifest, RecordError, read_manifest, sha256
-from bench.run.same_serial import NO_SERIAL
-from bench.run.states import RunState, state_after_one
+from bench.run.instruments import NO_SERIAL
 from bench.services.bench_selection import instrument_name
 from bench.services.coefficients import coefficients_of
 from bench.services.errors import Refused

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Final
 
+from bench.run.events import EVENTS, MANIFEST
 from bench.run.folder import PLAN
-from bench.run.manifest import EVENTS, MANIFEST
 from bench.services.errors import Refused
 
 MOST_DEEP: Final = 12

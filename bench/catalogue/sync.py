@@ -27,7 +27,7 @@ from bench.catalogue.scan import Place, Seen, pool_of, scan, scan_all
 from bench.catalogue.schema import CERTIFICATES, FOLDERS, INSTRUMENTS, ISSUED, OF_A_RUN, RUNS
 from bench.catalogue.store import Catalogue
 from bench.catalogue.unit import forget_dues
-from bench.run.manifest import MANIFEST
+from bench.run.events import MANIFEST
 from bench.services.errors import Refused
 
 if TYPE_CHECKING:

@@ -39,9 +39,9 @@ from bench.model.block import COEFFICIENTS
 from bench.readings.columns import current_column, rails_of, voltage_column
 from bench.readings.csv import format_csv
 from bench.readings.table import CHAMBER_C, TEMPERATURE_SOURCE, VERIFICATION, Readings
+from bench.run.events import ENDED
 from bench.run.folder import IMPORTED, Run
 from bench.run.seal import read_seal, seal_of
-from bench.run.states import ENDED
 from bench.services.bench_selection import origin_beside
 from bench.services.calibration import CalibrationResult, calibration_of, coefficient_unit
 from bench.services.errors import Refused

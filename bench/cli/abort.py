@@ -9,7 +9,7 @@ from bench.cli.options import RUNS, LatestRun, RunsOption, app
 @app.command(epilog="Example: bench abort unit-17")
 def abort(name: LatestRun = None, runs: RunsOption = RUNS) -> int:
     """End an interrupted run for good; its record is kept."""
-    from bench.run.control import at_the_shell
+    from bench.run.person import at_the_shell
     from bench.services.left_runs import give_up, unfinished_run
 
     found = unfinished_run(name, runs)

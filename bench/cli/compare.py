@@ -77,7 +77,7 @@ def _snapshots(name: str, request: Request, taken: list[dict[str, str]], json: s
     Which bench file is taken for readings is said, and added to `taken`.
     """
     from bench.history.comparison import Snapshot
-    from bench.run.manifest import MANIFEST
+    from bench.run.events import MANIFEST
     from bench.services.calibration import calibration_of
     from bench.services.coefficients import date_of, snapshots_in
     from bench.services.source import load_sources

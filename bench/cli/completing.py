@@ -11,7 +11,7 @@ import typer
 
 def runs(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the runs in the folder of runs whose names begin so."""
-    from bench.run.manifest import MANIFEST
+    from bench.run.events import MANIFEST
 
     folder = Path(ctx.params.get("runs") or os.environ.get("BENCH_RUNS") or "runs")
     return _beginning(incomplete, (file.parent.name for file in folder.glob(f"*/{MANIFEST}")))

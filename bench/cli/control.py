@@ -22,10 +22,10 @@ def control(
     runs: RunsOption = RUNS,
 ) -> int:
     """Ask something of a run that another program is carrying out; typed at a prompt it is :pause, :redo, …"""
-    from bench.run.control import SIGN, at_the_shell, leave_wish, parse_wish
+    from bench.run.events import Wish
     from bench.run.folder import find_run
+    from bench.run.person import SIGN, at_the_shell, leave_wish, parse_wish
     from bench.run.record import is_being_written
-    from bench.run.states import Wish
 
     found = find_run(run, runs)
     try:

@@ -12,8 +12,8 @@ from bench.cli import printing
 from bench.cli.diagnose import diagnosed
 from bench.diagnosis.full import FullDiagnosis
 from bench.diagnosis.next_measurement import Proposal
-from bench.run.answers import YES, ask
 from bench.run.folder import Run
+from bench.run.person import YES, ask
 from bench.run.terminal import TerminalPerson
 from bench.services.each import done
 from bench.services.source import Request

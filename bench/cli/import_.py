@@ -23,8 +23,8 @@ def import_(
     """Make a run of a readings file that was measured elsewhere."""
     from bench.base.files import read_given
     from bench.readings.csv import read_csv
+    from bench.run.events import Manifest
     from bench.run.folder import BENCH, IMPORTED, Run, checked_name
-    from bench.run.manifest import Manifest
     from bench.run.record import Record
     from bench.services.bench_selection import SUFFIX, bench_of, origin_beside
     from bench.services.errors import Refused

@@ -72,7 +72,7 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
     Raises `Refused` without a bench file, `FileMistakes`, `OSError` for a wire log that cannot be.
     """
     from bench.config.bench_file.file import load_bench
-    from bench.run.interruptions import Interrupts
+    from bench.run.listening import Interrupts
     from bench.services.bench_selection import bench_path
     from bench.services.instruments import look_at
     from bench.services.traceability import remarks
@@ -99,7 +99,7 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
 
 
 def _show(rows: Sequence[InstrumentLook]) -> None:
-    from bench.run.same_serial import same_serials
+    from bench.run.instruments import same_serials
 
     out = printing.console()
     table = printing.table()

@@ -76,7 +76,7 @@ def link_to(run: str, runs: Path) -> str:
     from urllib.parse import quote
 
     from bench.panel.serving import open_panel
-    from bench.run.manifest import RecordError
+    from bench.run.events import RecordError
 
     try:
         return open_panel(runs, f"/runs/{quote(run)}/")

@@ -24,8 +24,8 @@ from bench.cli.run import is_away, make_results
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bench.run.asking import Asker
     from bench.run.folder import Run
+    from bench.run.listening import Asker
 
 
 @app.command(epilog="Example: bench resume unit-17")
@@ -38,11 +38,10 @@ def resume(
     runs: RunsOption = RUNS,
 ) -> int:
     """Go on with an interrupted run at the first point without a reading; make the results that it lacks."""
-    from bench.run.asking import WishListener
-    from bench.run.control import ControlFile
+    from bench.run.events import RunState
     from bench.run.folder import Run
-    from bench.run.interruptions import Interrupts
-    from bench.run.states import RunState
+    from bench.run.listening import Interrupts, WishListener
+    from bench.run.person import ControlFile
     from bench.services.execution import carry_out
     from bench.services.heard import heard_in
     from bench.services.left_runs import refuse_missing_devices, taken_up, unfinished_run
@@ -73,7 +72,7 @@ def resume(
 
 def _accept_changes(run: Run, asker: Asker | None, out: Console) -> None:
     """Say what was changed since the run began; on a real bench the person must agree to go on without it."""
-    from bench.run.answers import agree
+    from bench.run.person import agree
     from drivers.interfaces import Prompt, PromptKind
 
     changes = _changed_since(run)

@@ -31,9 +31,9 @@ from bench.services.errors import Refused
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from bench.run.events import VerdictAsked
     from bench.run.folder import Run
-    from bench.run.interruptions import Interrupts
-    from bench.run.manifest import VerdictAsked
+    from bench.run.listening import Interrupts
     from bench.services.source import Source
 
 _MADE: Final = ("calibrate.json", "verify.json", "report.html", "chart.json")
@@ -102,10 +102,9 @@ def run(
         verdict = asked.recorded()
 
     def carried_out(procedure: str, name: str | None, seed: int) -> tuple[Run, int]:
-        from bench.run.asking import WishListener
-        from bench.run.control import ControlFile
         from bench.run.folder import Run
-        from bench.run.interruptions import Interrupts
+        from bench.run.listening import Interrupts, WishListener
+        from bench.run.person import ControlFile
         from bench.services.execution import carry_out, new_run
         from bench.services.heard import heard_in
         from drivers.wire.log import logged_wire

@@ -88,7 +88,7 @@ def _text(value: object) -> str:
 
 
 def _print_events(run: Run, out: Console) -> None:
-    from bench.run.resume import resume_point
+    from bench.run.record import resume_point
     from bench.run.sentences import duration, said, sentence
 
     if run.imported:

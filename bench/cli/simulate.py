@@ -196,7 +196,7 @@ def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
 @contextmanager
 def _ended_by_signal() -> Iterator[threading.Event]:
     """Yield what Ctrl-C, SIGTERM and a closed terminal set in place of ending the program."""
-    from bench.run.interruptions import SIGNALS
+    from bench.run.listening import SIGNALS
 
     ended = threading.Event()
 

@@ -25,7 +25,7 @@ from bench.base.atomic_files import from_text, to_text, write_whole
 from bench.base.files import read_regular
 from bench.base.visible import visible
 from bench.panel.settings import Settings
-from bench.run.manifest import RecordError
+from bench.run.events import RecordError
 from drivers.clock import utc_now
 
 

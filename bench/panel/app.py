@@ -22,7 +22,7 @@ from bench.panel.pages import catalogue, check, control, live, runs, shown, sign
 from bench.panel.panel import Panel
 from bench.panel.settings import Settings
 from bench.readings.csv import ReadingsError
-from bench.run.manifest import RecordError
+from bench.run.events import RecordError
 from bench.services.errors import Refused
 from drivers.interfaces import BenchError
 

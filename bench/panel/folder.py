@@ -13,8 +13,8 @@ from bench.base.files import read_json
 from bench.certificate.laboratory import load_laboratory
 from bench.certificate.register import Register
 from bench.panel.access import Refusal
+from bench.run.events import MANIFEST
 from bench.run.folder import Run
-from bench.run.manifest import MANIFEST
 from bench.services.errors import Refused
 
 LARGEST_PAGE: Final = 64 * 2**20

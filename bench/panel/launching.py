@@ -22,8 +22,8 @@ from bench.base.visible import visible
 from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.panel.access import Refusal, private_folder
 from bench.panel.folder import RunsFolder
+from bench.run.events import EVENTS, RecordError, sha256
 from bench.run.folder import Run, checked_name
-from bench.run.manifest import EVENTS, RecordError, sha256
 from bench.run.record import is_being_written
 from drivers.clock import Clock, SystemClock, utc_now
 

@@ -13,7 +13,7 @@ from starlette.responses import Response
 from bench.base.numbers import typeset
 from bench.base.visible import visible
 from bench.panel.access import Refusal
-from bench.run.manifest import sha256
+from bench.run.events import sha256
 
 REPORT_STYLE: Final = "report.css"
 """The style of the reports, which the panel's own stands on."""

@@ -18,7 +18,7 @@ from bench.base.files import read_regular
 from bench.panel.access import Access, Refusal, private_folder
 from bench.panel.launching import Started, start, wait_until
 from bench.panel.settings import PORT, STATE, Settings, is_loopback
-from bench.run.manifest import RecordError
+from bench.run.events import RecordError
 
 if TYPE_CHECKING:
     import uvicorn

@@ -12,8 +12,8 @@ from typing import Any, Final
 
 from bench.base.files import open_regular
 from bench.panel.folder import RunsFolder
+from bench.run.events import EVENTS, MANIFEST, RecordError
 from bench.run.folder import BENCH, PLAN, PROCEDURE, RESULTS, VERIFY, Digests, Run
-from bench.run.manifest import EVENTS, MANIFEST, RecordError
 from bench.run.record import is_being_written
 from bench.services.records import run_summary
 from drivers.clock import Clock, SystemClock

@@ -1,15 +1,132 @@
-"""What a run's record tells: its events, and what the steps of a plan bring."""
+"""What a run's record consists of: the manifest, the events, what steps bring; the states that events lead to."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
 from functools import cached_property
-from typing import Any, Final
+from pathlib import Path
+from typing import Any, Final, TypedDict, cast
 
+from bench.base.files import read_regular
 from bench.readings.reading import Reading
+
+EVENTS: Final = "events.jsonl"
+MANIFEST: Final = "run.json"
+FORMAT: Final = 1
+
+
+class UnitUnderTest(TypedDict):
+    """The block that a run measures."""
+
+    type: str
+    serial: str
+
+
+class VerdictAsked(TypedDict, total=False):
+    """How the run's verdict is found, where that was asked for in place of the bench file's."""
+
+    limit_g: float
+    rule: str
+    guard_band: float
+
+
+class DefaultRule(TypedDict):
+    """The decision rule of a run for which nobody states one, with the probability that sets its guard band."""
+
+    rule: str
+    false_acceptance: float
+
+
+DEFAULT_RULE: Final[DefaultRule] = {"rule": "non-binary", "false_acceptance": 0.05}
+"""The default as each record keeps it: one that has none was begun when simple acceptance was the default."""
+
+
+class CheckedBefore(TypedDict, total=False):
+    """What the check block said as the run began: `run` of the check block, how old, what the `rule` is.
+
+    `state` is in control, out of control, too old or missing, `said` the same in words; `despite` is why the run
+    was begun all the same, where the state spoke against it.
+    """
+
+    rule: str
+    state: str
+    said: str
+    run: str
+    age_h: float
+    despite: str
+
+
+class Manifest(TypedDict, total=False):
+    """What a run was begun with (`run.json`), in this order; `files` are the SHA-256 of the inputs by name.
+
+    `seed` is None for a run on real instruments. A run of a readings file (`imported`) says how many
+    `readings` that has, and nothing of a procedure. `living` is a dry run whose questions a person answers.
+    `bench_why` says why that bench file was taken. `devices` says
+    where those drivers came from that are none of the bench's own, `verdict` how it is judged in place of the bench
+    file's, `default_rule` how where neither says it, `until` the goals at which it ends, `check_block` what that
+    said; all are left out where there is nothing.
+    """
+
+    format: int
+    name: str
+    created: str
+    imported: str
+    readings: int
+    dry_run: bool
+    seed: int | None
+    living: bool
+    operator: str
+    procedure: str
+    bench: str
+    bench_why: str
+    plan_hash: str
+    unit_under_test: UnitUnderTest
+    versions: dict[str, str]
+    devices: dict[str, str]
+    default_rule: DefaultRule
+    verdict: VerdictAsked
+    until: list[str]
+    check_block: CheckedBefore
+    files: dict[str, str]
+
+
+class RecordError(Exception):
+    """A run folder that cannot be written or believed; the text says where, why and what to do."""
+
+
+def sha256(data: bytes) -> str:
+    """Return the SHA-256 of bytes in hexadecimal."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Return the inputs' manifest of a run. Raises `RecordError` when there is none."""
+    try:
+        manifest = json.loads(read_regular(folder / MANIFEST).decode())
+    except (FileNotFoundError, NotADirectoryError):
+        raise RecordError(f"{folder}: not a run (no {MANIFEST} in it)") from None
+    except OSError as error:
+        raise RecordError(f"{folder / MANIFEST}: cannot be read ({error.strerror})") from None
+    except (ValueError, RecursionError):
+        raise RecordError(f"{folder / MANIFEST}: damaged, not JSON; take it from a copy of the run") from None
+    if not isinstance(manifest, dict) or not isinstance(manifest.get("files", {}), dict):
+        raise RecordError(f"{folder / MANIFEST}: damaged, not a manifest; take it from a copy of the run")
+    return cast(Manifest, manifest)
+
+
+def changed_inputs(folder: Path) -> list[str]:
+    """Say which of the inputs of a run are not what its manifest says. Raises `RecordError` without a manifest."""
+    return [
+        f"{name} was changed since the run began"
+        for name, digest in read_manifest(folder).get("files", {}).items()
+        if not (folder / name).is_file() or sha256(read_regular(folder / name)) != digest
+    ]
+
 
 # --- results of steps -------------------------------------------------------------------------------
 
@@ -291,3 +408,91 @@ class Event:
     def reading(self) -> Reading | None:
         """The reading that a step brought, if it did."""
         return result if isinstance(result := self.result, Reading) else None
+
+
+class RunState(StrEnum):
+    """What a run is doing."""
+
+    READY = "ready"
+    RUNNING = "running"
+    PAUSED = "paused"
+    FINISHED = "finished"
+    FAILED = "failed"
+    INTERRUPTED = "interrupted"
+    ABORTED = "aborted"
+
+
+_OPEN: Final[Mapping[str, RunState]] = {
+    EventType.RUN_RESUMED: RunState.RUNNING,
+    EventType.RUN_FAILED: RunState.FAILED,
+    EventType.RUN_INTERRUPTED: RunState.INTERRUPTED,
+    EventType.RUN_ABORTED: RunState.ABORTED,
+}
+"""What may happen to every run that has not ended, whatever its last program left it at."""
+
+
+def _stopped(state: RunState) -> Mapping[str, RunState]:
+    """Return the row of a run that has stopped: a further attempt that fails leaves it as it was."""
+    return {**_OPEN, EventType.RUN_FAILED: state, EventType.RUN_INTERRUPTED: state}
+
+
+TRANSITIONS: Final[Mapping[RunState, Mapping[str, RunState]]] = {
+    RunState.READY: {**_OPEN, EventType.RUN_STARTED: RunState.RUNNING},
+    RunState.RUNNING: {
+        **_OPEN,
+        EventType.RUN_PAUSED: RunState.PAUSED,
+        EventType.RUN_FINISHED: RunState.FINISHED,
+    },
+    RunState.PAUSED: {**_OPEN, EventType.RUN_CONTINUED: RunState.RUNNING},
+    RunState.FAILED: _stopped(RunState.FAILED),
+    RunState.INTERRUPTED: _stopped(RunState.INTERRUPTED),
+    RunState.FINISHED: {},
+    RunState.ABORTED: {},
+}
+"""Which event leads from which state to which: there is no other way, for who writes a record or reads it."""
+
+ENDED: Final = frozenset({RunState.FINISHED, RunState.ABORTED})
+"""States in which nothing more happens to a run."""
+
+
+class Wish(StrEnum):
+    """What a person may ask of a run that goes on."""
+
+    PAUSE = "pause"
+    CONTINUE = "continue"
+    REPEAT_POINT = "redo"
+    REPEAT_PASS = "redo-pass"
+    MOUNT_AGAIN = "remount"
+    SKIP = "skip"
+    STOP = "stop"
+    ABORT = "abort"
+
+
+HEARD: Final[Mapping[RunState, frozenset[Wish]]] = {
+    RunState.RUNNING: frozenset(Wish) - {Wish.CONTINUE},
+    RunState.PAUSED: frozenset(Wish) - {Wish.PAUSE},
+}
+"""Which wishes are heard in which state."""
+
+
+_CHANGING: Final = frozenset(event for row in TRANSITIONS.values() for event in row)
+
+
+def state_after(events: list[str]) -> RunState:
+    """Return the state that a run's events lead to; events that change no state are passed over.
+
+    Raises `ValueError` for a sequence that the table does not allow.
+    """
+    state = RunState.READY
+    for event in events:
+        state = state_after_one(state, event)
+    return state
+
+
+def state_after_one(state: RunState, event: str) -> RunState:
+    """Return the state that an event on record leads to. Raises `ValueError` where the table does not allow it."""
+    if event not in _CHANGING:
+        return state
+    if event not in TRANSITIONS[state]:
+        raise ValueError(f"{event} cannot follow on {state}")
+    return TRANSITIONS[state][event]

@@ -21,9 +21,8 @@ from bench.config.procedure.plan import Plan, Read
 from bench.readings.corrected import Seen, with_levels
 from bench.readings.reading import readings_of
 from bench.readings.table import VERIFICATION, Readings
-from bench.run.history import History, read_history
-from bench.run.manifest import EVENTS, MANIFEST, Manifest, RecordError, read_manifest, sha256
-from bench.run.states import RunState
+from bench.run.events import EVENTS, MANIFEST, Manifest, RecordError, RunState, read_manifest, sha256
+from bench.run.record import History, read_history
 from drivers.clock import utc_now
 
 PLAN = "plan.json"

@@ -11,10 +11,10 @@ from bench.base.words import duration
 from bench.config.bench_file.rails import DriftForm, RailSection, UnitSupplySection
 from bench.config.procedure.plan import SWITCHED_ON, Mount, Plan, Power, Read
 from bench.readings.columns import Rail
-from bench.run.answers import ask
 from bench.run.events import EventType
+from bench.run.person import ask
 from bench.run.resume import Progress
-from bench.run.settling import Criterion, NotSettled, Settling, wait_until_settled
+from bench.run.samples import Criterion, NotSettled, Settling, wait_until_settled
 from drivers.clock import Clock
 from drivers.interfaces.errors import BadReading, BenchError, InstrumentLost, InstrumentRefused
 from drivers.interfaces.person import Person, Prompt, PromptKind, WatchingPerson

@@ -1,4 +1,4 @@
-"""What a record says is done, and where an interrupted run goes on."""
+"""What is done of a plan, what is redone after a stop, and how a person says so."""
 
 from __future__ import annotations
 
@@ -6,16 +6,12 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from bench.config.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Step, Turn
-from bench.run.answers import OpenPrompt
-from bench.run.events import Event, EventType
-from bench.run.manifest import RecordError
-from bench.run.states import Wish
-
-if TYPE_CHECKING:
-    from bench.run.history import History
+from bench.run.events import Event, EventType, Wish
+from bench.run.person import MOST_ATTEMPTS, REASON, OpenPrompt, OperatorWish, RunControl, problem_with_answer
+from drivers.interfaces import BenchError, NoAnswer, Person, Prompt, PromptKind
 
 
 @dataclass
@@ -51,23 +47,21 @@ class Progress:
     chosen: list[Mapping[str, Any]] = field(default_factory=list)
     left_out: set[int] = field(default_factory=set)
 
-    @classmethod
-    def of(cls, history: History) -> Progress:
-        """Return what the events of a run say, to be gone on with."""
-        of = history.progress
+    def copy(self) -> Progress:
+        """Return a copy, to be gone on with."""
         return replace(
-            of,
-            done=set(of.done),
-            skipped=set(of.skipped),
-            redone=Counter(of.redone),
-            begun_s=dict(of.begun_s),
-            identities=dict(of.identities),
-            remounts=dict(of.remounts),
-            in_vain=set(of.in_vain),
-            gone_on=set(of.gone_on),
-            asked=copy(of.asked),
-            chosen=list(of.chosen),
-            left_out=set(of.left_out),
+            self,
+            done=set(self.done),
+            skipped=set(self.skipped),
+            redone=Counter(self.redone),
+            begun_s=dict(self.begun_s),
+            identities=dict(self.identities),
+            remounts=dict(self.remounts),
+            in_vain=set(self.in_vain),
+            gone_on=set(self.gone_on),
+            asked=copy(self.asked),
+            chosen=list(self.chosen),
+            left_out=set(self.left_out),
         )
 
     def take(self, event: Event) -> None:  # noqa: PLR0912 - one case for each kind of event
@@ -152,50 +146,7 @@ def steps_of(ranges: Iterable[Sequence[int]]) -> set[int]:
     return {step for first, last in ranges for step in range(int(first), int(last) + 1)}
 
 
-@dataclass(frozen=True)
-class ResumePoint:
-    """Where to go on: `step` is the next one to do, `turn` the turn to make again before it, if any.
-
-    `bench_s` is the bench time (s since the run began) at which `step` was last begun.
-    """
-
-    step: int
-    bench_s: float
-    turn: int | None = None
-
-
-def resume_point(plan: Plan, history: History) -> ResumePoint:
-    """Find where to go on.
-
-    Between a turn and the readings of its point the head may have been moved: the turn is made again, and
-    with it what stands between the last reading taken and the next. Readings taken are never repeated.
-    `step` is `len(plan.steps)` when nothing is left to do. Raises `RecordError` for steps that the plan lacks.
-    """
-    progress = Progress.of(history)
-    known = progress.done | progress.skipped | progress.left_out
-    if beyond := [step for step in known if step >= len(plan.steps)]:
-        raise RecordError(
-            f"the record tells of step {max(beyond) + 1}, and the plan has {len(plan.steps)}: "
-            "they are not of one run; take both from a copy of it"
-        )
-    last_s = history.events[-1].bench_s if history.events else 0.0
-    step = next((i for i in range(len(plan.steps)) if not progress.settled(i)), len(plan.steps))
-    turn = turn_before(plan, step, progress.left_out)
-    if turn == step or not _reading_is_open(plan, step):
-        return ResumePoint(step, progress.begun_s.get(step, last_s))
-    taken = [i for i in range(turn, step) if isinstance(plan.steps[i], Read)]
-    step = max(taken, default=turn) + 1
-    return ResumePoint(step, progress.begun_s.get(step, last_s), turn)
-
-
-def _reading_is_open(plan: Plan, step: int) -> bool:
-    """Whether `step` lies within a point of which a reading is still to come."""
-    if step == len(plan.steps) or isinstance(plan.steps[step], Turn | _ENDS_A_POINT):
-        return False
-    return any(isinstance(later, Read) for later in plan.steps[step : end_of_point(plan, step)])
-
-
-_ENDS_A_POINT: Final = Mount | SetTemperature | Level
+ENDS_A_POINT: Final = Mount | SetTemperature | Level
 """After these the head is not where the last turn left it, or the block not as it was."""
 
 
@@ -209,7 +160,7 @@ def turn_before(plan: Plan, step: int, without: Collection[int] = ()) -> int:
             continue
         if isinstance(plan.steps[index], Turn):
             return index
-        if isinstance(plan.steps[index], _ENDS_A_POINT):
+        if isinstance(plan.steps[index], ENDS_A_POINT):
             break
     return step
 
@@ -233,7 +184,7 @@ def latest_turn(plan: Plan, progress: Progress, step: int) -> int:
     Where points are chosen on the way, it may stand later in the plan.
     """
     begun = (i for i in progress.begun_s if i != step and i not in progress.left_out)
-    own = [i for i in begun if isinstance(plan.steps[i], Turn | _ENDS_A_POINT)]
+    own = [i for i in begun if isinstance(plan.steps[i], Turn | ENDS_A_POINT)]
     latest = max(own, key=lambda i: (progress.begun_s[i], i), default=step)
     return latest if isinstance(plan.steps[latest], Turn) else step
 
@@ -241,7 +192,7 @@ def latest_turn(plan: Plan, progress: Progress, step: int) -> int:
 def end_of_point(plan: Plan, step: int) -> int:
     """The step after the point that `step` belongs to."""
     for index in range(step + 1, len(plan.steps)):
-        if isinstance(plan.steps[index], Turn | _ENDS_A_POINT):
+        if isinstance(plan.steps[index], Turn | ENDS_A_POINT):
             return index
     return len(plan.steps)
 
@@ -275,3 +226,128 @@ def _is_of_pass(plan: Plan, turn: int, index: int) -> bool:
         return (step.series, step.installation, step.pass_number) if isinstance(step, Turn) else None
 
     return place(plan.steps[index]) == place(plan.steps[turn])
+
+
+GO_ON: Final = "go on"
+ANSWERS: Final = {
+    "redo point": Wish.REPEAT_POINT,
+    "redo pass": Wish.REPEAT_PASS,
+    "mount again": Wish.MOUNT_AGAIN,
+}
+"""What can be answered beside "go on REASON"."""
+AGAIN: Final = "the same reading again after it was redone"
+
+
+def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
+    """Return the question that a run asks which stopped for an early sign; it has no default.
+
+    `again` says that the run stopped at this reading before and that it was redone since.
+    """
+    why, first = "", "take the point again, take the pass again"
+    answers = [*ANSWERS]
+    if again:
+        why = f"{AGAIN[0].upper()}{AGAIN[1:]}: an earlier setting of the pass may be what is wrong. "
+        first = "take the pass again, which is the first choice, take the point again"
+        answers.sort(key=lambda answer: ANSWERS[answer] is not Wish.REPEAT_PASS)
+    return Prompt(
+        id=f"halt@{doubt.number}",
+        kind=PromptKind.CHOOSE,
+        text=f"Stopped. {doubt.data['sentence']}. {why}Put it right, then say how to go on: {first}, "
+        "mount the block again and take the pass again, or go on with the readings as they are and say why",
+        choices=(*answers, f"{GO_ON} {REASON}"),
+        action={"do": "ask"},
+    )
+
+
+def pause_prompt(now_s: float) -> Prompt:
+    """Return the question that a run asks which is paused, `now_s` since it began."""
+    return Prompt(
+        id=f"pause@{now_s:.3f}",
+        kind=PromptKind.CONFIRM,
+        text="Paused. Enter goes on; or :redo, :redo-pass, :remount, :skip REASON, :abort",
+        default="yes",
+        action={"do": "wait"},
+    )
+
+
+def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
+    """Ask how to go on: raise `OperatorWish` for something to be taken again, or return why it is gone on.
+
+    `again` is as in `halt_prompt`. Raises `NoAnswer` with what the sign says where nobody answers.
+    """
+    prompt = halt_prompt(doubt, again=again)
+    answers = ", ".join(prompt.choices)
+    trouble = ""
+    for attempt in range(1, MOST_ATTEMPTS + 1):
+        put = replace(prompt, id=f"{prompt.id}#{attempt}", text=f"{trouble}{prompt.text}")
+        try:
+            answer = person.ask(put)
+        except NoAnswer as nobody:
+            told = f"{doubt.data['sentence']} ({AGAIN})" if again else doubt.data["sentence"]
+            raise NoAnswer(
+                "operator",
+                f"the run stopped: {told}; nobody said how to go on",
+                f"look at the bench, then resume and answer {answers}",
+            ) from nobody
+        given = " ".join(answer.text.split()) if answer.prompt_id == put.id else ""
+        if given and not problem_with_answer(prompt, given):
+            if given.lower() in ANSWERS:
+                raise OperatorWish(RunControl(ANSWERS[given.lower()], by_person=True))
+            return given[len(GO_ON) :].strip()
+        trouble = f"Answer one of {answers}, not {given!r}. "
+    raise BenchError("operator", "no usable answer to how to go on", f"answer {answers}")
+
+
+def step_in_doubt(plan: Plan, doubt: Event) -> int:
+    """Return the step after the reading that a sign finds wrong: its own, or one before on its mounting."""
+    _, _, pass_number, point = doubt.data.get("wrong") or (0, "", 0, 0)
+    for index in range(doubt.step, -1, -1):
+        step = plan.steps[index]
+        if isinstance(step, Mount | SetTemperature):
+            break
+        if isinstance(step, Read) and (step.pass_number, step.point) == (pass_number, point):
+            return index + 1
+    return doubt.step + 1
+
+
+@dataclass(frozen=True)
+class Redo:
+    """The steps `first` to `last` that are taken again, and what is mounted before them, if anything."""
+
+    first: int
+    last: int
+    mount: Mount | None = None
+
+
+def redo_from(plan: Plan, progress: Progress, wish: Wish, index: int) -> Redo | None:
+    """Return what a wish at step `index` has taken again.
+
+    None where no point was measured since the block was mounted.
+    """
+    after = index if progress.doubt is None else step_in_doubt(plan, progress.doubt)
+    in_turn = not progress.chosen or progress.doubt is not None
+    turn = turn_before(plan, after, progress.left_out) if in_turn else latest_turn(plan, progress, after)
+    if turn == after:
+        return None
+    last = index - 1
+    if progress.chosen:  # what stands between in the plan was measured before, and stays
+        own = end_of_point(plan, turn)
+        last = min(own, index) - 1 if turn < index else own - 1
+    if wish is not Wish.REPEAT_POINT:
+        last = last_of_pass(plan, progress, turn) if progress.chosen else last
+        turn = first_of_pass(plan, turn)
+    found = _mounting_before(plan, turn) if wish is Wish.MOUNT_AGAIN else None
+    if found is None:
+        return Redo(turn, last)
+    mounted, step = found
+    was_read = any(isinstance(plan.steps[i], Read) and i in progress.done for i in range(mounted, turn))
+    # with nothing read on it the mounting begins again
+    return Redo(turn, last, step) if was_read else Redo(mounted, last)
+
+
+def _mounting_before(plan: Plan, index: int) -> tuple[int, Mount] | None:
+    """Return the step that mounted the block as it is mounted at step `index`; None where none did."""
+    for i in range(index - 1, -1, -1):
+        if isinstance(step := plan.steps[i], Mount):
+            return i, step
+    return None

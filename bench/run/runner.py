@@ -15,9 +15,11 @@ from typing import Any, Final
 
 from bench.config.procedure.plan import Mount, OnFailure, Plan, Read, SelectInput, SetTemperature, Turn
 from bench.readings.reading import Reading
-from bench.run.answers import confirm
-from bench.run.asking import Asker
-from bench.run.control import (
+from bench.run.events import HEARD, TRANSITIONS, Event, EventType, RecordError, RunState, Wish, result_to_json
+from bench.run.expectation import EarlySign
+from bench.run.instruments import Instruments, agree_to_others, how_it_stopped, leave_safe, same_serials
+from bench.run.listening import Asker, ClockWatch
+from bench.run.person import (
     NOBODY_KNOWN,
     Controls,
     NoControls,
@@ -25,21 +27,21 @@ from bench.run.control import (
     RunControl,
     Stopped,
     Who,
+    confirm,
     raised,
 )
-from bench.run.events import Event, EventType, result_to_json
-from bench.run.halt import how_to_go_on, pause_prompt, redo_from
-from bench.run.interruptions import ClockWatch
-from bench.run.manifest import RecordError
 from bench.run.power import Feeding, UnitPower, begin, take_up
-from bench.run.record import Record
-from bench.run.resume import Progress, ResumePoint, end_of_point, is_still_to_be_read
-from bench.run.same_serial import agree_to_others, same_serials
-from bench.run.settling import SLOW_AFTER_S, Settling
-from bench.run.states import HEARD, TRANSITIONS, RunState, Wish
-from bench.run.watch.expectation import EarlySign
-from bench.run.way_out import how_it_stopped, leave_safe
-from bench.run.workbench import NAP_S, Instruments, Workbench
+from bench.run.record import Record, ResumePoint
+from bench.run.resume import (
+    Progress,
+    end_of_point,
+    how_to_go_on,
+    is_still_to_be_read,
+    pause_prompt,
+    redo_from,
+)
+from bench.run.samples import SLOW_AFTER_S, Settling
+from bench.run.workbench import NAP_S, Workbench
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BadReading, InstrumentLost, InstrumentRefused, Person
 

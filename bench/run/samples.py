@@ -1,23 +1,23 @@
-"""What the samples of one reading tell of it: scatter, drift, an outlier. All recorded, nothing applied.
-
-Sources: drift is the slope of a straight line by least squares with Student's t test (NIST/SEMATECH
-e-Handbook of Statistical Methods, 4.4.3 and 1.3.5); an outlier is looked for with Grubbs' two-sided test
-(F. E. Grubbs, Technometrics 11 (1969) 1-21; e-Handbook 1.3.5.17.1).
-"""
+"""Samples of the signals: when they have settled, their scatter, drift and outliers. Nothing is corrected."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from bench.base.arrays import Floats
 from bench.readings.reading import Outlier
+from bench.run.events import EventType
+from drivers.clock import Clock
+from drivers.interfaces.errors import BenchError
+from drivers.interfaces.instruments import ThermalChamber
 
 OUTLIER_LEVEL: Final = 0.01
 """Probability with which normal samples without an outlier are said to have one."""
@@ -119,3 +119,269 @@ def _outlier(x: Floats, deviation: Floats, sd: float, resolution: float) -> Outl
     if sigma <= critical or abs(float(x[worst]) - float(np.median(x))) <= resolution * (1 + 1e-6):
         return None
     return Outlier(worst + 1, float(x[worst]), sigma, critical)
+
+
+LEAST_SAMPLES: Final = 6
+"""Samples that a window holds before an approach is estimated from it."""
+
+SLOWING: Final = 0.9
+"""The later half of a window moves less than this part of the earlier one, or no end can be told."""
+
+_TIMING_S: Final = 1e-6
+"""Sums of intervals miss a window's length by rounding; this much of it is forgiven."""
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """When a quantity counts as settled; `precision` and `target` in the unit of the samples.
+
+    Raises `ValueError` for lengths that are not positive, a timeout shorter than the window, or samples
+    that come too rarely for the window to hold two.
+    """
+
+    precision: float
+    window_s: float
+    timeout_s: float
+    interval_s: float
+    target: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the lengths against each other."""
+        for name in ("precision", "window_s", "timeout_s", "interval_s"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"settling: {name} is {value:g}; give a positive number")
+        if self.timeout_s < self.window_s:
+            raise ValueError(
+                f"settling: the timeout of {self.timeout_s:g} s is shorter than the window of "
+                f"{self.window_s:g} s; nothing could settle in it"
+            )
+        if self.interval_s > self.window_s:
+            raise ValueError(
+                f"settling: samples every {self.interval_s:g} s leave a window of {self.window_s:g} s empty; "
+                "sample more often or lengthen the window"
+            )
+
+
+@dataclass(frozen=True)
+class Settling:
+    """How far the settling is, after a sample.
+
+    `elapsed_s` counts from the first sample. `spread` is the peak-to-peak span of each signal over the
+    window, `off_target` how far the worst sample of the window is from the target (0 without one).
+    `left_s` estimates the time until settled; None while nothing can be told of it.
+    """
+
+    settled: bool
+    elapsed_s: float
+    samples: int
+    values: tuple[float, ...]
+    spread: tuple[float, ...]
+    off_target: float
+    left_s: float | None
+
+
+class NotSettled(BenchError):
+    """The timeout passed and the quantity still moved; `state` tells by how much."""
+
+    def __init__(self, instrument: str, cause: str, remedy: str, state: Settling) -> None:
+        super().__init__(instrument, cause, remedy)
+        self.state = state
+
+
+class Window:
+    """The samples of the last window; knows no clock."""
+
+    def __init__(self, criterion: Criterion) -> None:
+        self.criterion = criterion
+        self._samples: deque[tuple[float, tuple[float, ...]]] = deque()
+        self._first_s: float | None = None
+        self._taken = 0
+
+    def add(self, time_s: float, values: Sequence[float]) -> Settling:
+        """Take a sample of all signals at once; return how far the settling is.
+
+        Raises `ValueError` when time runs backwards, or the number of signals changes or is zero.
+        """
+        taken = tuple(float(value) for value in values)
+        if not taken:
+            raise ValueError("settling: a sample without a signal")
+        if self._samples:
+            last_s, last = self._samples[-1]
+            if time_s < last_s:
+                raise ValueError(f"settling: a sample at {time_s:g} s follows one at {last_s:g} s")
+            if len(last) != len(taken):
+                raise ValueError(f"settling: {len(taken)} signals follow {len(last)}")
+        if self._first_s is None:
+            self._first_s = time_s
+        self._samples.append((time_s, taken))
+        self._taken += 1
+        self._forget(time_s)
+        return self._state(time_s - self._first_s)
+
+    def _forget(self, now_s: float) -> None:
+        """Keep the window and the one sample that is at least as old as it."""
+        while len(self._samples) > 1 and self._is_old(self._samples[1][0], now_s):
+            self._samples.popleft()
+
+    def _is_old(self, time_s: float, now_s: float) -> bool:
+        return now_s - time_s >= self.criterion.window_s - _TIMING_S
+
+    def _state(self, elapsed_s: float) -> Settling:
+        now_s, values = self._samples[-1]
+        signals = list(zip(*(sample for _, sample in self._samples), strict=True))
+        spread = tuple(max(signal) - min(signal) for signal in signals)
+        off = self._off_target(signals)
+        still = all(span <= self.criterion.precision for span in spread) and off <= self.criterion.precision
+        settled = still and self._is_old(self._samples[0][0], now_s)
+        left_s = 0.0 if settled else self._left_s(signals, spread)
+        return Settling(settled, elapsed_s, self._taken, values, spread, off, left_s)
+
+    def _off_target(self, signals: Sequence[Sequence[float]]) -> float:
+        target = self.criterion.target
+        return 0.0 if target is None else max(abs(value - target) for signal in signals for value in signal)
+
+    def _left_s(self, signals: Sequence[Sequence[float]], spread: Sequence[float]) -> float | None:
+        """Return the longest of the signals' own estimates, None when one of them cannot tell."""
+        times = [time_s for time_s, _ in self._samples]
+        estimates = [self._signal_left_s(times, *one) for one in zip(signals, spread, strict=True)]
+        known = [estimate for estimate in estimates if estimate is not None]
+        return max(known) if len(known) == len(estimates) else None
+
+    def _signal_left_s(self, times: Sequence[float], signal: Sequence[float], spread: float) -> float | None:
+        """Estimate one signal's time left from the window alone.
+
+        Nothing outside precision: the window has to fill. Else an approach whose span shrinks by the same
+        factor from half to half of the window: with the time constant τ its span comes down to the precision
+        after τ ln(span/precision), but not before what is outside precision has left the window.
+        """
+        precision, target, now_s = self.criterion.precision, self.criterion.target, times[-1]
+        off = 0.0 if target is None else abs(signal[-1] - target)
+        moving = [t for t, v in zip(times, signal, strict=True) if abs(v - signal[-1]) > precision]
+        fill_s = max(0.0, self.criterion.window_s - (now_s - (moving[-1] if moving else times[0])))
+        if spread <= precision and off <= precision:
+            return fill_s
+        middle_s = (times[0] + now_s) / 2
+        early = [v for t, v in zip(times, signal, strict=True) if t <= middle_s]
+        late = [v for t, v in zip(times, signal, strict=True) if t >= middle_s]
+        early_span, late_span = max(early) - min(early), max(late) - min(late)
+        if len(times) < LEAST_SAMPLES or late_span >= SLOWING * early_span:
+            return None
+        if late_span == 0.0:
+            return fill_s if off <= precision else None
+        tau_s = (now_s - times[0]) / 2 / math.log(early_span / late_span)
+        still_s = tau_s * math.log(max(spread / precision, 1.0))
+        arrive_s = tau_s * math.log(off / precision) + self.criterion.window_s if off > precision else 0.0
+        return max(fill_s, still_s, arrive_s)
+
+
+def _silent(_: Settling) -> None:
+    """Show no progress."""
+
+
+def wait_until_settled(
+    sample: Callable[[], Sequence[float]],
+    criterion: Criterion,
+    clock: Clock,
+    on_progress: Callable[[Settling], None] = _silent,
+    *,
+    place: str = "block",
+    names: Sequence[str] = ("x", "y", "z"),
+    unit: str = "V",
+) -> Settling:
+    """Sample until settled; return the last state, whose `elapsed_s` is the time it took.
+
+    `sample` returns the signals (volts, or a temperature in °C alone) and may take its time; it is called
+    every `interval_s` from the start of one call to that of the next. `on_progress` hears of every sample;
+    `place`, `names` and `unit` are for the sentence of the error. Raises `NotSettled` when a sample taken at
+    or after `timeout_s` is not settled yet, and whatever `sample` raises.
+    """
+    window = Window(criterion)
+    begun_s = clock.now_s()
+    while True:
+        called_s = clock.now_s()
+        values = sample()
+        state = window.add(clock.now_s(), values)
+        on_progress(state)
+        if state.settled:
+            return state
+        if clock.now_s() - begun_s >= criterion.timeout_s - _TIMING_S:
+            raise _not_settled(criterion, state, place, names, unit)
+        clock.sleep(max(0.0, called_s + criterion.interval_s - clock.now_s()))
+
+
+def _not_settled(
+    criterion: Criterion, state: Settling, place: str, names: Sequence[str], unit: str
+) -> NotSettled:
+    labels = list(names) if len(names) == len(state.spread) else [""] * len(state.spread)
+    moving = [
+        f"{label} {span:.3g} {unit}".strip()
+        for label, span in zip(labels, state.spread, strict=True)
+        if span > criterion.precision
+    ]
+    parts = [f"still moved by {', '.join(moving)} in {criterion.window_s:g} s"] if moving else []
+    if state.off_target > criterion.precision:
+        parts.append(
+            f"was up to {state.off_target:.3g} {unit} from its target of {criterion.target:g} {unit}"
+        )
+    what = " and ".join(parts) or "was sampled too rarely to fill the window"
+    cause = (
+        f"not settled after {criterion.timeout_s:g} s: it {what}, where {criterion.precision:.3g} {unit} "
+        "is allowed"
+    )
+    remedy = "look for what moves or warms it and repeat the step, or lengthen the timeout in the procedure"
+    return NotSettled(place, cause, remedy, state)
+
+
+SLOW_AFTER_S: Final = 300.0
+"""When it is looked at where the bench file says nothing."""
+LEAST_SHARE: Final = 0.2
+LEAST_WAY_K: Final = 2.0
+"""A shorter way says nothing: a sensor's noise and the air's lag are of its size."""
+
+
+@dataclass
+class ChamberWatch:
+    """Looks `slow_after_s` after each demand where the air is; `tell` is told of less than 20 % of the way."""
+
+    clock: Clock
+    slow_after_s: float
+    tell: Callable[[EventType, dict[str, Any]], None]
+    _way_c: tuple[float, float] | None = field(default=None, init=False)
+    _begun_s: float = field(default=0.0, init=False)
+
+    def begin(self, chamber: ThermalChamber, target_c: float, key: str) -> None:
+        """Take note of where the air is when a temperature has been demanded; a person is not asked."""
+        self._way_c = None
+        if chamber.asks_person:
+            return
+        try:
+            start_c = chamber.temperature(key, settling=True)
+        except BenchError:
+            return  # the step that needs the temperature will meet it
+        if abs(target_c - start_c) >= LEAST_WAY_K:
+            self._way_c, self._begun_s = (start_c, target_c), self.clock.now_s()
+
+    @property
+    def due(self) -> bool:
+        """Whether it is time to look."""
+        return self._way_c is not None and self.clock.now_s() - self._begun_s >= self.slow_after_s
+
+    def look(self, chamber: ThermalChamber | None, key: str) -> None:
+        """Look where the air is, when it is time to."""
+        if chamber is None or not self.due:
+            return
+        try:
+            self.take(chamber.name, chamber.temperature(key, settling=True))
+        except BenchError:
+            self._way_c = None  # as above
+
+    def take(self, name: str, air_c: float) -> None:
+        """Judge a temperature of the air that was read for something else, when it is time to."""
+        if self._way_c is None or not self.due:
+            return
+        (start_c, target_c), self._way_c = self._way_c, None
+        if (air_c - start_c) / (target_c - start_c) < LEAST_SHARE:
+            after_s = self.clock.now_s() - self._begun_s
+            way = {"start_c": start_c, "air_c": air_c, "target_c": target_c}
+            self.tell(EventType.CHAMBER_SLOW, {"chamber": name, "after_s": round(after_s, 3), **way})

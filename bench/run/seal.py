@@ -21,9 +21,8 @@ from urllib.parse import urlsplit
 from bench.base.atomic_files import to_text, write_whole
 from bench.base.extras import missing
 from bench.base.files import read_given, read_regular
+from bench.run.events import ENDED, MANIFEST, RecordError, sha256
 from bench.run.folder import Run
-from bench.run.manifest import MANIFEST, RecordError, sha256
-from bench.run.states import ENDED
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey

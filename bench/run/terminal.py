@@ -18,12 +18,11 @@ from rich.text import Text
 from bench.base.computing import quiet
 from bench.config.procedure.plan import Plan
 from bench.readings.reading import Reading
-from bench.run.control import NOBODY_KNOWN, SIGN, Who, parse_wish, raised
-from bench.run.events import Event, EventType
+from bench.run.events import HEARD, Event, EventType, RunState, Wish
+from bench.run.person import NOBODY_KNOWN, SIGN, Who, parse_wish, raised
 from bench.run.resume import steps_of
+from bench.run.samples import Settling
 from bench.run.sentences import duration, sentence
-from bench.run.settling import Settling
-from bench.run.states import HEARD, RunState, Wish
 from drivers.interfaces.errors import NoAnswer
 from drivers.interfaces.person import Answer, Prompt, PromptKind
 

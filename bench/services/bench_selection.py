@@ -16,10 +16,10 @@ from bench.config.bench_file.file import BenchFile, load_bench, load_recorded_be
 from bench.config.bench_file.learned import LearnedFile, load_learned
 from bench.config.shipped import find_bench
 from bench.results.parts import BenchPart
+from bench.run.events import sha256
+from bench.run.events import sha256 as sha256_of
 from bench.run.folder import BENCH, IMPORTED, LEARNED, Run
-from bench.run.manifest import sha256
-from bench.run.manifest import sha256 as sha256_of
-from bench.run.same_serial import NO_SERIAL
+from bench.run.instruments import NO_SERIAL
 
 FORMAT: Final = 1
 SUFFIX: Final = ".json"

@@ -21,9 +21,8 @@ from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import LEAST_ARL, LEAST_SMOOTHING, MOST_ARL, CheckBlockSection
 from bench.history.control_chart import CheckRun, ControlChart, KnownDrift, Reference, control_chart
 from bench.model.block import COEFFICIENTS
+from bench.run.events import RecordError, RunState, sha256
 from bench.run.folder import BENCH, Run, all_runs, find_run
-from bench.run.manifest import RecordError, sha256
-from bench.run.states import RunState
 from bench.services.calibration import CalibrationResult, calibration_of
 from bench.services.coefficients import coefficients_of
 from bench.services.errors import Refused
@@ -31,7 +30,7 @@ from bench.services.source import Request, load_sources
 from bench.stats.control_charts import BASES, DEFAULT_ARL, Basis, Design, least_runs, shewhart_arl
 
 if TYPE_CHECKING:
-    from bench.run.manifest import UnitUnderTest
+    from bench.run.events import UnitUnderTest
 
 
 FORMAT: Final = 1

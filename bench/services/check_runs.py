@@ -12,8 +12,8 @@ from typing import Final
 from bench.base.words import duration
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import CheckBlockSection
+from bench.run.events import MANIFEST, CheckedBefore, Manifest, RecordError
 from bench.run.folder import Run, all_runs, find_run
-from bench.run.manifest import MANIFEST, CheckedBefore, Manifest, RecordError
 from bench.services.arguments import CHARTED, checked
 from bench.services.bench_selection import find_bench_file, own_bench
 from bench.services.check_block import CheckBlockChart, chart_of, check_block_runs, is_check_block

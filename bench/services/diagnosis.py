@@ -27,12 +27,11 @@ from bench.readings.csv import format_csv
 from bench.readings.joined import JoinedPart, together
 from bench.readings.mistaken import MistakeName
 from bench.readings.table import Readings
+from bench.run.causes import STOP_ALARM
+from bench.run.early_warning import watcher_of
 from bench.run.events import EventType
+from bench.run.expectation import CABLINGS, EarlySign, Kind
 from bench.run.folder import Run
-from bench.run.watch.causes import STOP_ALARM
-from bench.run.watch.early_warning import watcher_of
-from bench.run.watch.expectation import EarlySign
-from bench.run.watch.suppositions import CABLINGS, Kind
 from bench.services.bench_selection import SUFFIX
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_of

@@ -16,7 +16,7 @@ from bench.calibration.estimators import CLOSED_FORM
 from bench.calibration.result import Calibration, CalibrationError
 from bench.exchange.forms import FORMS
 from bench.exchange.result import BlockResult
-from bench.run.manifest import MANIFEST
+from bench.run.events import MANIFEST
 from bench.services.calibration import CalibrationResult, calibration_of
 from bench.services.coefficients import block_result
 from bench.services.errors import Refused

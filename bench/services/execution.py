@@ -21,22 +21,20 @@ from bench.config.devices.sections import ControlledChamberForm
 from bench.config.model_file import load_model
 from bench.config.procedure.load import Procedure, check, load_procedure
 from bench.config.shipped import find_procedure
-from bench.run.asking import Asker, WishListener
 from bench.run.assembly.served import Assembly, dry_bench, real_bench
-from bench.run.control import ControlFile
+from bench.run.early_warning import watcher_of
+from bench.run.events import Manifest, RecordError, VerdictAsked
 from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, RESULTS, Run, checked_name
-from bench.run.history import History, read_history
-from bench.run.interruptions import ClockWatch, Interrupts
-from bench.run.manifest import Manifest, RecordError, VerdictAsked
+from bench.run.instruments import with_notes
+from bench.run.listening import Asker, ClockWatch, Interrupts, WishListener
+from bench.run.person import ControlFile
 from bench.run.power import Feeding
-from bench.run.record import Record
-from bench.run.resume import Progress, resume_point
+from bench.run.record import History, Record, read_history, resume_point
+from bench.run.resume import Progress
 from bench.run.runner import RunAborted, Runner
+from bench.run.samples import SLOW_AFTER_S
 from bench.run.sentences import RunLog
-from bench.run.settling import SLOW_AFTER_S
 from bench.run.terminal import ProgressBar, TerminalPerson
-from bench.run.watch.early_warning import watcher_of
-from bench.run.way_out import with_notes
 from bench.services.bench_selection import bench_for_record, bench_path, why_taken
 from bench.services.check_runs import checked_before
 from bench.services.errors import Refused
@@ -225,7 +223,7 @@ def carry_out(
                 controls=heard.wishes,
                 stopped=lambda: heard.wishes.stopped,
                 asker=heard.asker,
-                progress=Progress.of(history) if history else Progress(),
+                progress=history.progress.copy() if history else Progress(),
                 watch=watcher.take,
                 # who resumes a dry run that stopped is there to be asked
                 decider=heard.asker if history else None,

@@ -14,7 +14,7 @@ def expected(error: BaseException) -> bool:
     from bench.config.bench_file.file import FileMistakes
     from bench.model.effects import ExpressionError
     from bench.readings.csv import ReadingsError
-    from bench.run.manifest import RecordError
+    from bench.run.events import RecordError
     from drivers.interfaces import BenchError
 
     kinds: tuple[Any, ...] = (

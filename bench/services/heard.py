@@ -8,12 +8,11 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.run.asking import Asker, WishListener
-from bench.run.control import at_the_shell
 from bench.run.events import Event, EventType
 from bench.run.folder import Run
-from bench.run.history import History
-from bench.run.record import Record
+from bench.run.listening import Asker, WishListener
+from bench.run.person import at_the_shell
+from bench.run.record import History, Record
 from bench.run.sentences import TERMINAL, sentence
 from bench.run.terminal import TerminalPerson
 

@@ -16,12 +16,11 @@ from bench.base.numbers import without_infinity
 from bench.config.bench_file.file import BenchFile
 from bench.config.devices.sections import ChamberForm, HeadForm, SupplyForm
 from bench.results.commissioning import render_commissioning
-from bench.run.assembly.commissioned import dry_evening, real_evening
-from bench.run.assembly.served import real_bench
+from bench.run.assembly.served import dry_evening, real_bench, real_evening
 from bench.run.commission.course import go_through
 from bench.run.commission.session import Ended, Evening, status_of
-from bench.run.interruptions import Interrupts
-from bench.run.way_out import leave_safe
+from bench.run.instruments import leave_safe
+from bench.run.listening import Interrupts
 from bench.run.workbench import QUICK_NPLC
 from bench.services.errors import Refused
 from bench.services.provenance import versions

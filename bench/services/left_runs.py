@@ -7,13 +7,10 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from bench.config.bench_file.file import missing_drivers
-from bench.run.control import NOBODY_KNOWN, Who
-from bench.run.events import EventType
+from bench.run.events import ENDED, EventType, RecordError, RunState
 from bench.run.folder import BENCH, Digests, Run, all_runs, find_run
-from bench.run.history import History
-from bench.run.manifest import RecordError
-from bench.run.record import Record, is_being_written
-from bench.run.states import ENDED, RunState
+from bench.run.person import NOBODY_KNOWN, Who
+from bench.run.record import History, Record, is_being_written
 from bench.services.errors import Refused
 from drivers.clock import utc_now
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from bench.base.files import read_regular
 from bench.readings.columns import columns_of, ranges_in_words
+from bench.run.events import ENDED, RecordError, RunState
 from bench.run.folder import VERIFY, Digest, Digests, Run, all_runs
-from bench.run.manifest import RecordError
 from bench.run.record import is_being_written
 from bench.run.seal import (
     NoTimeStamp,
@@ -31,7 +31,6 @@ from bench.run.seal import (
     signed,
     write_seal,
 )
-from bench.run.states import ENDED, RunState
 from bench.services.errors import Refused
 from drivers.clock import utc_now
 

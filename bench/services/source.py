@@ -18,8 +18,8 @@ from bench.model import CATALOGUE, Effect, ForwardModel
 from bench.readings.corrected import VOLTS, corrected
 from bench.readings.csv import format_csv, read_csv, read_frame
 from bench.readings.table import Readings
+from bench.run.events import MANIFEST, RecordError, sha256
 from bench.run.folder import IMPORTED, Run, find_run
-from bench.run.manifest import MANIFEST, RecordError, sha256
 from bench.services.bench_selection import (
     BenchTaken,
     Origin,

@@ -57,9 +57,9 @@ from bench.planning.until.pool import (
     with_hidden,
 )
 from bench.readings.table import VERIFICATION
+from bench.run.events import Manifest, RecordError
 from bench.run.folder import BENCH, Run
-from bench.run.history import History
-from bench.run.manifest import Manifest, RecordError
+from bench.run.record import History
 from bench.run.resume import Progress
 from bench.run.sentences import duration, size_in_words
 from bench.services.bench_selection import bench_path

@@ -27,8 +27,8 @@ from bench.calibration.verification import (
     verdict_line,
 )
 from bench.config.bench_file.file import BenchFile
+from bench.run.events import VerdictAsked
 from bench.run.folder import Run
-from bench.run.manifest import VerdictAsked
 from bench.services.calibration import CalibrationResult, calibration_of
 from bench.services.coefficients import Coefficients, read_coefficients
 from bench.services.errors import Refused

@@ -7,7 +7,7 @@ from urllib.parse import quote
 import pytest
 
 from bench.panel.access import Role
-from bench.run.manifest import EVENTS, MANIFEST
+from bench.run.events import EVENTS, MANIFEST
 from bench.run.record import Record
 from drivers.clock import utc_now
 from tests.browser.conftest import RECORDS

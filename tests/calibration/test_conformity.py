@@ -20,7 +20,7 @@ from bench.calibration.conformity import (
     probability_one_outside,
     probability_outside,
 )
-from bench.run.manifest import DEFAULT_RULE
+from bench.run.events import DEFAULT_RULE
 from benchmarks.verdict_risk import within_chance
 
 VALUES = np.linspace(-5.0, 5.0, 41)

@@ -11,12 +11,11 @@ import pytest
 from rich.console import Console
 
 from bench.cli.resume import _accept_changes
-from bench.run import asking
-from bench.run.answers import LeftAnswer, leave_answer
-from bench.run.asking import Asker
-from bench.run.control import RunControl, Who, leave_wish
+from bench.run import listening
+from bench.run.events import Wish
 from bench.run.folder import Run
-from bench.run.states import Wish
+from bench.run.listening import Asker
+from bench.run.person import LeftAnswer, RunControl, Who, leave_answer, leave_wish
 from benchmarks.answering_campaign import Hands, amiss, answer_to, one
 from benchmarks.kill_campaign import differences
 from drivers.interfaces import BenchError
@@ -37,7 +36,7 @@ RUN = ("run", "points.yaml", "--dry-run", "--seed", "3")
 def points(bench, monkeypatch):
     """Return what carries out a run answered in its folder, and returns it with the output of the command."""
     Path("points.yaml").write_text(POINTS)
-    monkeypatch.setattr(asking, "LISTEN_S", 0.002)
+    monkeypatch.setattr(listening, "LISTEN_S", 0.002)
 
     def answered(name, *arguments, hands=None):
         hands = hands or Hands(Path("runs") / name, None, None, calm=True)

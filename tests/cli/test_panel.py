@@ -8,7 +8,7 @@ import pytest
 
 from bench.panel.serving import LOCK, SERVER, new_link, open_panel, serve
 from bench.panel.settings import STATE, Settings, is_loopback
-from bench.run.manifest import RecordError
+from bench.run.events import RecordError
 
 
 def told(text):

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from bench.cli import printing
+from bench.run.events import RunState
 from bench.run.folder import RESULTS, Run
-from bench.run.interruptions import Interrupts
-from bench.run.states import RunState
+from bench.run.listening import Interrupts
 from bench.services import calibration
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.run.manifest import EVENTS, MANIFEST
+from bench.run.events import EVENTS, MANIFEST
 from tests.support.time_authority import Authority, Served
 
 RECORDS = Path(__file__).parents[1] / "data" / "records"

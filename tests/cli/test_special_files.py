@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from bench.cli.app import main
-from bench.run.answers import ANSWERS
-from bench.run.control import CONTROL
+from bench.run.person import ANSWERS, CONTROL
 from bench.services.bench_selection import SUFFIX
 
 RECORD = Path(__file__).parents[1] / "data" / "records"

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from bench.config.shipped import find_bench
-from bench.run.control import ControlFile, RunControl
-from bench.run.states import Wish
+from bench.run.events import Wish
+from bench.run.person import ControlFile, RunControl
 from tests.cli.test_until import PROCEDURE, chosen, lines, readings
 
 EFFECT = """

@@ -12,9 +12,8 @@ from typing import Any, get_args
 import pytest
 
 from bench.config.devices.device import Device
+from bench.run.instruments import Instruments, leave_safe
 from bench.run.power import Feeding, UnitPower
-from bench.run.way_out import leave_safe
-from bench.run.workbench import Instruments
 from drivers.interfaces import InstrumentLost
 from drivers.manual.head import ManualHead
 from sim.wires.faults import Fault, FaultKind

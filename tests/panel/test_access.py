@@ -8,7 +8,7 @@ import pytest
 from bench.panel.access import LINKS, SESSIONS, TOKENS, Access, Role
 from bench.panel.app import make_app
 from bench.panel.settings import STATE, Settings
-from bench.run.manifest import RecordError
+from bench.run.events import RecordError
 from tests.support.panel_client import HOME, OWN, Browser, TestClient, stranger
 
 

@@ -7,9 +7,8 @@ import pytest
 
 from bench.panel.access import Role
 from bench.panel.holding import JOURNAL, read_holding
-from bench.run.answers import ANSWERS, asked_to_json
-from bench.run.control import CONTROL
 from bench.run.folder import Run
+from bench.run.person import ANSWERS, CONTROL, asked_to_json
 from bench.run.record import Record
 from drivers.clock import utc_now
 from drivers.interfaces import Prompt, PromptKind

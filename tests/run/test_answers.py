@@ -5,20 +5,22 @@ import math
 
 import pytest
 
-from bench.run.answers import (
+from bench.run.events import Event, EventType, Wish
+from bench.run.person import (
     ANSWERS,
     AnswersFile,
+    ControlFile,
     LeftAnswer,
+    RunControl,
+    Who,
     asked_to_json,
     leave_answer,
+    leave_wish,
     open_prompt,
     problem_with_answer,
     understood_answer,
 )
-from bench.run.control import ControlFile, RunControl, Who, leave_wish
-from bench.run.events import Event, EventType
-from bench.run.halt import halt_prompt
-from bench.run.states import Wish
+from bench.run.resume import halt_prompt
 from drivers.angles import parse_angle
 from drivers.interfaces import Prompt, PromptKind
 from drivers.manual.head import ManualHead

@@ -7,15 +7,26 @@ import pty
 import pytest
 from rich.console import Console
 
-from bench.run import asking
+from bench.run import listening
 from bench.run import terminal as terminal_module
-from bench.run.answers import ANSWERS, LeftAnswer, ask, confirm, leave_answer, open_prompt
-from bench.run.asking import READ_S, Asker, WishListener
-from bench.run.control import ControlFile, OperatorWish, RunControl, Stopped, Who, leave_wish
-from bench.run.events import Event
+from bench.run.events import Event, Wish
+from bench.run.listening import READ_S, Asker, WishListener
+from bench.run.person import (
+    ANSWERS,
+    ControlFile,
+    LeftAnswer,
+    OperatorWish,
+    RunControl,
+    Stopped,
+    Who,
+    ask,
+    confirm,
+    leave_answer,
+    leave_wish,
+    open_prompt,
+)
 from bench.run.power import RailFault
 from bench.run.sentences import sentence
-from bench.run.states import Wish
 from bench.run.terminal import TerminalPerson
 from drivers.angles import parse_angle
 from drivers.interfaces import LimitExceeded, NoAnswer, Prompt, PromptKind
@@ -221,7 +232,7 @@ def test_the_rest_of_a_line_that_was_begun_for_an_answered_question_is_dropped(r
     with os.fdopen(out, encoding="utf-8") as answers:
         terminal = TerminalPerson(answers, Console(file=io.StringIO()))
         person = Asker(run.folder, run, run.tell, terminal=terminal)
-        monkeypatch.setattr(asking, "LISTEN_S", 0.01)
+        monkeypatch.setattr(listening, "LISTEN_S", 0.01)
         terminal.slice_s = 0.01
         os.write(into, b"45 0")
         leave_answer(run.folder, LeftAnswer("2/mount#1@1", "yes", ANN))

@@ -3,8 +3,8 @@
 import pytest
 
 from bench.config.procedure.plan import Plan, SetTemperature, Settle, Wait
+from bench.run.samples import SLOW_AFTER_S, ChamberWatch
 from bench.run.sentences import sentence
-from bench.run.settling import SLOW_AFTER_S, ChamberWatch
 from drivers.interfaces import InstrumentLost
 from sim.world.clock import VirtualClock
 from tests.run.test_way_out import Chamber, with_chamber

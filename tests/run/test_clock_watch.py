@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from bench.run.interruptions import ClockWatch
+from bench.run.listening import ClockWatch
 from bench.run.sentences import sentence
 from sim.world.clock import VirtualClock
 from tests.support.runner_bench import READS, Bench, make_runner, new_record, recorded

@@ -7,8 +7,8 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from bench.run import folder as digest_module
+from bench.run.events import EVENTS
 from bench.run.folder import Digest, Digests, Run
-from bench.run.manifest import EVENTS
 from bench.run.record import Record
 
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)

@@ -8,11 +8,10 @@ import pytest
 from bench.config.procedure.plan import Mount, Plan, Read, SetTemperature, Turn
 from bench.model import ForwardModel
 from bench.run.assembly.served import dry_bench
-from bench.run.control import RunControl
-from bench.run.history import read_history
-from bench.run.record import Record
+from bench.run.events import RunState, Wish
+from bench.run.person import RunControl
+from bench.run.record import Record, read_history
 from bench.run.runner import RunAborted, Runner
-from bench.run.states import RunState, Wish
 from drivers.interfaces import BenchError
 from tests.support.composed_bench import edited
 

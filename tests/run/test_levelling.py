@@ -8,8 +8,8 @@ import pytest
 from bench.base.arrays import ARCSEC
 from bench.config.procedure.plan import Level
 from bench.run.events import result_from_json, result_to_json
-from bench.run.levelling import Levelling
-from bench.run.workbench import Instruments
+from bench.run.instruments import Instruments
+from bench.run.workbench import Levelling
 from benchmarks.levelling import Platform, levellings
 from drivers.interfaces import BadReading, BenchError, LimitExceeded
 

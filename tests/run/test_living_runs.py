@@ -6,16 +6,21 @@ import time
 
 import pytest
 
-from bench.run import asking
-from bench.run.answers import LeftAnswer, OpenPrompt, leave_answer, open_prompt
-from bench.run.asking import Asker, WishListener
-from bench.run.control import ControlFile, RunControl, Who, leave_wish
-from bench.run.history import read_history
-from bench.run.interruptions import Interrupts
-from bench.run.record import Record
-from bench.run.resume import Progress, resume_point
+from bench.run import listening
+from bench.run.events import RunState, Wish
+from bench.run.listening import Asker, Interrupts, WishListener
+from bench.run.person import (
+    ControlFile,
+    LeftAnswer,
+    OpenPrompt,
+    RunControl,
+    Who,
+    leave_answer,
+    leave_wish,
+    open_prompt,
+)
+from bench.run.record import Record, read_history, resume_point
 from bench.run.runner import RunAborted
-from bench.run.states import RunState, Wish
 from tests.support.runner_bench import NOON, READS, Bench, make_runner, new_record, recorded
 
 ANN = Who("Ann", "operator", "panel")
@@ -49,7 +54,7 @@ class Panel:
 @pytest.fixture
 def living(tmp_path, monkeypatch):
     """Return what carries out a run of which everything is answered in the folder, and what stopped it."""
-    monkeypatch.setattr(asking, "LISTEN_S", 0.001)
+    monkeypatch.setattr(listening, "LISTEN_S", 0.001)
 
     def carry_out(instead=None, bench=None, resumed=False, **options):
         folder = tmp_path / "run"
@@ -58,7 +63,7 @@ def living(tmp_path, monkeypatch):
         history = None
         if resumed:
             record, history = Record.reopen(folder, lambda: NOON)
-            options["progress"] = Progress.of(history)
+            options["progress"] = history.progress.copy()
         else:
             record = new_record(tmp_path)
         heard = 0 if history is None else history.progress.answers_heard
@@ -97,7 +102,7 @@ def test_a_whole_run_is_answered_in_its_folder(living):
     assert history.state is RunState.FINISHED
     assert len(told(history, "asked")) == len(told(history, "answered")) == 3
     assert history.progress.answers_heard == 3
-    assert open_prompt(history) is None
+    assert open_prompt(history.events) is None
 
 
 def test_a_pause_is_a_question_wherever_it_came_from(living):
@@ -128,7 +133,7 @@ def test_stop_at_a_question_leaves_the_run_to_be_resumed_and_the_question_is_put
     assert keys == READS[:3]
     assert history.state is RunState.INTERRUPTED
     assert told(history, "run_interrupted") == [{"reason": "why", **ANN.to_json()}]
-    assert open_prompt(history) is None
+    assert open_prompt(history.events) is None
     late = told(history, "asked")[-1]["id"]
     leave_answer(tmp_path / "run", LeftAnswer(late, "yes", ANN))
     history, keys = living(resumed=True)

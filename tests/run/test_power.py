@@ -7,12 +7,11 @@ from dataclasses import replace
 import pytest
 
 from bench.config.procedure.plan import Plan, Power, Read
-from bench.run.control import RunControl
+from bench.run.events import RunState, Wish
+from bench.run.person import RunControl
 from bench.run.power import ANEW, RailFault
-from bench.run.record import Record
-from bench.run.resume import Progress, resume_point
+from bench.run.record import Record, resume_point
 from bench.run.runner import RunAborted
-from bench.run.states import RunState, Wish
 from drivers.interfaces import Answer, BenchError, OutputSettings
 from sim.world.clock import VirtualClock
 from tests.support.fed_runs import Supply, fed_runner, found_on
@@ -338,7 +337,7 @@ def taken_up(tmp_path):
         record, history = Record.reopen(tmp_path / "run", lambda: NOON)
         assert 0 < len(history.readings) < 3
         point = resume_point(PLAN, history)
-        fed_runner(Bench(), record, then, feed=feed or {}, progress=Progress.of(history), **options).run(
+        fed_runner(Bench(), record, then, feed=feed or {}, progress=history.progress.copy(), **options).run(
             point
         )
         record.close()

@@ -7,11 +7,18 @@ import pytest
 from rich.console import Console
 
 from bench.config.procedure.plan import Mount
-from bench.run.answers import agree, ask, confirm
-from bench.run.control import ControlFile, OperatorWish, RunControl, leave_wish
-from bench.run.mounting import mount_prompt
-from bench.run.same_serial import same_serials
-from bench.run.states import Wish
+from bench.run.events import Wish
+from bench.run.instruments import same_serials
+from bench.run.person import (
+    ControlFile,
+    OperatorWish,
+    RunControl,
+    agree,
+    ask,
+    confirm,
+    leave_wish,
+    mount_prompt,
+)
 from bench.run.terminal import TerminalPerson, heard_at, typing_help
 from drivers.interfaces import Answer, BenchError, Identity, NoAnswer, Prompt, PromptKind
 

@@ -12,10 +12,8 @@ from pathlib import Path
 import pytest
 
 from bench.config.procedure.plan import Plan, Wait
-from bench.run.history import read_history
-from bench.run.manifest import EVENTS, MANIFEST, RecordError
-from bench.run.record import Record
-from bench.run.resume import resume_point
+from bench.run.events import EVENTS, MANIFEST, RecordError
+from bench.run.record import Record, read_history, resume_point
 
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
 

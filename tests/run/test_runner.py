@@ -7,11 +7,10 @@ import pytest
 
 from bench.config.procedure.plan import OnFailure, Plan, SetTemperature
 from bench.readings.reading import Reading, readings_of
-from bench.run.manifest import RecordError
-from bench.run.mounting import UNTOUCHED
-from bench.run.record import Record
-from bench.run.resume import Progress, resume_point
-from bench.run.workbench import Instruments
+from bench.run.events import RecordError
+from bench.run.instruments import Instruments
+from bench.run.person import UNTOUCHED
+from bench.run.record import Record, resume_point
 from drivers.interfaces import Answer, BadReading, BenchError, Identity, LimitExceeded, NotConnected
 from tests.support.runner_bench import (
     ALL,
@@ -68,7 +67,7 @@ def test_stopped_at_any_action_and_resumed_it_ends_with_every_reading_once(tmp_p
 
         record, history = Record.reopen(folder, lambda: NOON)
         again = Bench()
-        make_runner(again, record, progress=Progress.of(history)).run(resume_point(PLAN, history))
+        make_runner(again, record, progress=history.progress.copy()).run(resume_point(PLAN, history))
         record.close()
         history, keys, rows = recorded(folder)
         assert history.state == "finished"
@@ -88,7 +87,7 @@ def test_a_resumed_run_counts_bench_time_on(tmp_path):
     point = resume_point(PLAN, history)
     assert point.bench_s >= 3600.0
     told = []
-    make_runner(Bench(), record, at_resumed_time=told.append, progress=Progress.of(history)).run(point)
+    make_runner(Bench(), record, at_resumed_time=told.append, progress=history.progress.copy()).run(point)
     times = [r["time_s"] for r in recorded(tmp_path / "run")[2]]
     assert told == [point.bench_s]
     assert times == sorted(times)
@@ -108,7 +107,7 @@ def test_a_block_that_was_mounted_again_meanwhile_makes_another_visit_of_what_fo
         make_runner(Bench(KeyboardInterrupt(), 20), record).run()
     record.close()
     record, history = Record.reopen(tmp_path / "run", lambda: NOON)
-    runner = make_runner(Bench(), record, progress=Progress.of(history))
+    runner = make_runner(Bench(), record, progress=history.progress.copy())
     dataclasses.replace(runner, person=Honest(Bench())).run(resume_point(PLAN, history))
     record.close()
     _, keys, rows = recorded(tmp_path / "run")
@@ -130,7 +129,9 @@ def resumed(folder, bench, **options):
     """Go on with a run on a bench; the record is let go however that ends."""
     record, history = Record.reopen(folder, lambda: NOON)
     with contextlib.closing(record):
-        make_runner(bench, record, progress=Progress.of(history), **options).run(resume_point(PLAN, history))
+        make_runner(bench, record, progress=history.progress.copy(), **options).run(
+            resume_point(PLAN, history)
+        )
 
 
 @pytest.mark.parametrize("trouble", [KeyboardInterrupt(), BadReading("voltmeter.y", "overload", ""), None])

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.run.settling import Criterion, NotSettled, Window, wait_until_settled
+from bench.run.samples import Criterion, NotSettled, Window, wait_until_settled
 from sim.world.clock import VirtualClock
 
 CRITERION = Criterion(precision=1e-4, window_s=10.0, timeout_s=600.0, interval_s=1.0)

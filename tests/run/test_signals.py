@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from bench.run.folder import Run
-from bench.run.history import read_history
-from bench.run.interruptions import SIGNALS, Interrupts
+from bench.run.listening import SIGNALS, Interrupts
+from bench.run.record import read_history
 from tests.support.patience import PATIENCE_S, wait_for
 
 LONG = """\

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.run.states import ENDED, HEARD, TRANSITIONS, RunState, state_after
+from bench.run.events import ENDED, HEARD, TRANSITIONS, RunState, state_after
 
 
 def test_the_table_of_transitions_has_no_dead_end_but_the_two_ends():

@@ -7,9 +7,8 @@ from datetime import UTC, datetime
 
 import pytest
 
-from bench.run.history import read_history
-from bench.run.manifest import EVENTS, RecordError
-from bench.run.record import Record, is_being_written
+from bench.run.events import EVENTS, RecordError
+from bench.run.record import Record, is_being_written, read_history
 
 pytest.importorskip("fcntl")
 pytestmark = pytest.mark.slow

@@ -9,10 +9,10 @@ import pytest
 from rich.console import Console
 
 from bench.run import terminal as terminal_module
-from bench.run.control import RunControl
-from bench.run.interruptions import Interrupts
+from bench.run.events import RunState, Wish
+from bench.run.listening import Interrupts
+from bench.run.person import RunControl
 from bench.run.power import WATCH_S, RailFault
-from bench.run.states import RunState, Wish
 from bench.run.terminal import LineReader, ProgressBar, TerminalPerson
 from benchmarks import supply_trials
 from benchmarks.fault_trials import command

@@ -7,9 +7,9 @@ from contextlib import closing
 import pytest
 
 from bench.config.procedure.plan import Plan, SetTemperature
-from bench.run.interruptions import SIGNALS, Interrupts
+from bench.run.instruments import with_notes
+from bench.run.listening import SIGNALS, Interrupts
 from bench.run.record import RecordError
-from bench.run.way_out import with_notes
 from drivers.interfaces import BenchError, Identity, InstrumentLost, LimitExceeded
 from tests.support.runner_bench import (
     ALL,

@@ -4,11 +4,10 @@ import dataclasses
 
 import pytest
 
-from bench.run.control import OperatorWish, RunControl
-from bench.run.events import Event
-from bench.run.resume import resume_point
+from bench.run.events import Event, RunState, Wish
+from bench.run.person import OperatorWish, RunControl
+from bench.run.record import resume_point
 from bench.run.runner import RunAborted
-from bench.run.states import RunState, Wish
 from sim.world.clock import VirtualClock
 from tests.support.runner_bench import PLAN, READS, Bench, Person, make_runner, new_record, recorded
 

@@ -20,7 +20,7 @@ from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.readings.corrected import corrected
 from bench.readings.csv import write_csv
-from bench.run.manifest import sha256
+from bench.run.events import sha256
 from bench.run.sentences import sentence
 from bench.services.execution import _on_certificates
 from bench.services.provenance import provenance

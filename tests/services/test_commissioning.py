@@ -14,11 +14,10 @@ import pytest
 import bench.services.instruments as command
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
-from bench.run.assembly.commissioned import dry_evening
-from bench.run.assembly.served import SimulatedBench
+from bench.run.assembly.served import SimulatedBench, dry_evening
 from bench.run.commission.session import Listening
-from bench.run.control import OperatorWish, RunControl
-from bench.run.states import Wish
+from bench.run.events import Wish
+from bench.run.person import OperatorWish, RunControl
 from bench.services.errors import Refused
 from bench.services.instruments import PAGE, RESULT, WIRE_LOG, Setting, commission
 from drivers.interfaces import Answer, Person, Prompt

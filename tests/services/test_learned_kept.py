@@ -12,8 +12,8 @@ import bench as program
 from bench.base.arrays import ARCSEC, u_of
 from bench.config.bench_file.learned import arcsec
 from bench.model.block import COEFFICIENTS
+from bench.run.events import RecordError
 from bench.run.folder import LEARNED, Run
-from bench.run.manifest import RecordError
 from bench.services.check_block import check_values
 from bench.services.execution import carry_out, new_run
 from tests.support.learned_file import content, leave

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from bench.run.manifest import EVENTS
+from bench.run.events import EVENTS
 
 PROGRAM = "from bench.cli.program import main; main()"
 PATIENCE_S = 180.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.config.shipped import find_bench
 from bench.run.commission.session import Evening, Listening, WireWatch
-from bench.run.workbench import Instruments
+from bench.run.instruments import Instruments
 from drivers.interfaces import (
     Answer,
     BenchError,

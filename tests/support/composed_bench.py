@@ -11,8 +11,7 @@ from bench.config.bench_file.file import BenchFile, load_bench
 from bench.config.shipped import find_bench
 from bench.model import ForwardModel
 from bench.run.assembly.served import Assembly, dry_bench
-from bench.run.way_out import leave_safe
-from bench.run.workbench import Instruments
+from bench.run.instruments import Instruments, leave_safe
 from drivers.interfaces import Channel, VoltmeterSettings
 
 READING = VoltmeterSettings(10.0, 1.0, 3)

@@ -7,7 +7,7 @@ import numpy as np
 
 from bench.readings.csv import write_csv
 from bench.readings.table import Readings
-from bench.run.manifest import sha256
+from bench.run.events import sha256
 from bench.services.bench_selection import BenchOrigin, Origin, UnitOrigin
 from tests.support.learning_bench import Bench, Runs, simulate
 from tests.support.paper_bench import ARCSEC

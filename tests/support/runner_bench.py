@@ -7,10 +7,9 @@ from typing import Any
 
 from bench.base.arrays import CHANNELS
 from bench.config.procedure.plan import Ask, Mount, OnFailure, Plan, Read, Step, Turn, Wait
-from bench.run.history import History, read_history
-from bench.run.record import Record
+from bench.run.instruments import Instruments
+from bench.run.record import History, Record, read_history
 from bench.run.runner import Runner
-from bench.run.workbench import Instruments
 from drivers.interfaces import (
     Answer,
     Channel,

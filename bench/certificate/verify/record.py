@@ -19,8 +19,8 @@ from bench.certificate.content import Found
 from bench.certificate.gather import found_by
 from bench.certificate.register import ISSUED, LINES, Register
 from bench.certificate.verify.shown import Shown
+from bench.run.events import MANIFEST, RecordError, sha256
 from bench.run.folder import find_run
-from bench.run.manifest import MANIFEST, RecordError, sha256
 from bench.run.seal import Seal
 from bench.services.errors import Refused
 from bench.services.verification import NOTHING_ASKED, Asked

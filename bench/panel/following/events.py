@@ -13,12 +13,19 @@ from bench.base.computing import uncollected
 from bench.base.files import open_regular
 from bench.config.procedure.plan import Mount, Plan, Read, SetTemperature, Settle, Step, Turn, Wait
 from bench.readings.reading import Reading
-from bench.run.answers import AskedPrompt
-from bench.run.events import CameToRest, Event, EventType, Turned
-from bench.run.history import parse_line
-from bench.run.manifest import EVENTS, RecordError
+from bench.run.events import (
+    EVENTS,
+    CameToRest,
+    Event,
+    EventType,
+    RecordError,
+    RunState,
+    Turned,
+    state_after_one,
+)
+from bench.run.person import AskedPrompt
+from bench.run.record import parse_line
 from bench.run.resume import Progress
-from bench.run.states import RunState, state_after_one
 
 MOST_LAST: Final = 40
 """So many of the last events are told."""

@@ -18,11 +18,10 @@ from bench.model.geometry import Installation
 from bench.panel.following.events import Seen
 from bench.panel.mounting_drawing import mounting, turn
 from bench.readings.reading import Reading
-from bench.run.answers import REASON, AskedPrompt
-from bench.run.events import Event
+from bench.run.events import ENDED, Event, RunState
+from bench.run.person import REASON, AskedPrompt
 from bench.run.samples import OUTLIER_LEAST
 from bench.run.sentences import duration, in_words
-from bench.run.states import ENDED, RunState
 from bench.run.terminal import TimeLeft
 from drivers.angles import format_dms
 from drivers.interfaces.person import PromptKind

@@ -20,13 +20,12 @@ from bench.config.procedure.plan import Mount, Plan, Read
 from bench.panel.following.events import Seen, Tail
 from bench.panel.following.snapshot import About, snapshot
 from bench.readings.reading import Reading
-from bench.run.answers import AskedPrompt
-from bench.run.events import Event, EventType
+from bench.run.early_warning import watcher_of
+from bench.run.events import Event, EventType, RecordError
 from bench.run.folder import BENCH, Run
-from bench.run.manifest import RecordError
+from bench.run.person import AskedPrompt
 from bench.run.record import is_being_written
 from bench.run.terminal import TimeLeft
-from bench.run.watch.early_warning import watcher_of
 from bench.services.own_effects import knowing_effects_on_record
 from drivers.clock import Clock, SystemClock, utc_now
 

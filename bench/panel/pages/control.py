@@ -14,11 +14,20 @@ from bench.panel.acting import acting, panel_of
 from bench.panel.holding import change, read_holding, require_holder
 from bench.panel.launching import resume_run
 from bench.panel.pages.shown import wants_json
-from bench.run.answers import LONGEST, LeftAnswer, leave_answer, problem_with_answer
-from bench.run.control import SIGN, RunControl, Who, leave_wish, parse_wish
+from bench.run.events import Wish
 from bench.run.folder import Run
+from bench.run.person import (
+    LONGEST,
+    SIGN,
+    LeftAnswer,
+    RunControl,
+    Who,
+    leave_answer,
+    leave_wish,
+    parse_wish,
+    problem_with_answer,
+)
 from bench.run.record import is_being_written
-from bench.run.states import Wish
 
 STOP: Final = "stop"
 LONGEST_REASON: Final = 500

@@ -14,9 +14,9 @@ from bench.panel.access import Refusal
 from bench.panel.acting import looking, panel_of, person_of
 from bench.panel.following.stream import as_event
 from bench.panel.pages.shown import page
-from bench.run.answers import AskedPrompt, problem_with_answer, understood_answer
+from bench.run.events import RecordError
 from bench.run.folder import Run
-from bench.run.manifest import RecordError
+from bench.run.person import AskedPrompt, problem_with_answer, understood_answer
 
 MOST_STREAMS: Final = 30
 """Live pages of one person at a time: each holds a connection."""

@@ -16,8 +16,8 @@ from bench.panel.launching import NEXT
 from bench.panel.launching import diagnose as begin
 from bench.panel.pages.shown import APART, page
 from bench.panel.results import DIAGNOSIS, REPORT, figure_of, is_plain, results_of
+from bench.run.events import RunState
 from bench.run.folder import Run
-from bench.run.states import RunState
 from bench.services.errors import Refused
 
 MOST_TOLD: Final = 50

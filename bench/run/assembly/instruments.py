@@ -20,7 +20,7 @@ from bench.config.devices.sections import (
 )
 from bench.config.devices.voltmeters import VoltmeterForm
 from bench.model.forward import ForwardModel
-from bench.run.workbench import Instruments
+from bench.run.instruments import Instruments
 from drivers.chambers import ChamberLimits
 from drivers.clock import Clock
 from drivers.interfaces.errors import BenchError

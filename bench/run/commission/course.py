@@ -1,17 +1,153 @@
-"""The course of the evening: which checks follow each other, each announced; how it ends."""
+"""The course of the evening: which checks follow each other, the check of every cable, how it ends."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from typing import Final, Protocol, runtime_checkable
 
-from bench.run.commission import heads, meters, surroundings
-from bench.run.commission.cables import check_cables
-from bench.run.commission.session import Evening, Finding, Skipped, State
-from bench.run.same_serial import same_serials
-from drivers.interfaces import Instrument
+from bench.config.devices.device import WiredForm
+from bench.config.devices.sections import ThermometerForm
+from bench.run.commission import devices, meters
+from bench.run.commission.meters import quick
+from bench.run.commission.session import Evening, Figure, Finding, Skipped, State
+from bench.run.instruments import same_serials
+from drivers.interfaces import BenchError, Instrument, PowerSupply, ThermalChamber, Voltmeter
+
+CABLE: Final = "cable pulled"
+AGAIN: Final = "cable plugged in again"
+
+TRIES: Final = 3
+"""A driver may try so often before it gives a wire up; each try costs a timeout, and one to connect."""
+PATIENCE_S: Final = 30.0
+"""A network port or a serial adapter may take so long to be there again."""
+PAUSE_S: Final = 2.0
+
+
+@runtime_checkable
+class _HasScale(Protocol):
+    """A head that can be asked where it stands without being moved."""
+
+    def position_rad(self) -> float:
+        """Return the angle read back."""
+        ...
+
+
+@dataclass(frozen=True)
+class Cable:
+    """What is pulled: `text` names it for a person, all `instruments` hang on it."""
+
+    text: str
+    instruments: Sequence[Instrument]
+
+
+def cables(evening: Evening) -> Iterator[Cable]:
+    """Yield the cable of each instrument with a wire; all that are behind one GPIB adapter share its."""
+    by_adapter: dict[str, list[Instrument]] = {}
+    for instrument in evening.instruments.all():
+        section = evening.section(instrument.name)
+        if isinstance(section, ThermometerForm) and evening.file.instruments.meter_of_thermometer is not None:
+            continue  # it hangs on the voltmeter's
+        place = section.place if isinstance(section, WiredForm) else None
+        if place is not None:
+            by_adapter.setdefault(place.adapter, []).append(instrument)
+        elif isinstance(section, WiredForm):
+            yield Cable(f"the cable of {instrument.name} ({section.resource})", [instrument])
+    for adapter, instruments in by_adapter.items():
+        names = ", ".join(one.name for one in instruments)
+        yield Cable(f"the computer's cable to the GPIB adapter {adapter} ({names})", instruments)
+
+
+def check_cables(evening: Evening) -> None:
+    """Have each cable pulled and plugged again, then look at all that hang on it as at any other time."""
+    for cable in cables(evening):
+        present = [one for one in cable.instruments if evening.present(one)]
+        first = (present or cable.instruments)[0]
+        evening.carry_out(CABLE, first, partial(_pulled, evening, cable, first), by_wire=False)
+        for one in present:
+            evening.carry_out(AGAIN, one, partial(_looked_at, evening, one))
+
+
+def _pulled(evening: Evening, cable: Cable, first: Instrument) -> Finding:
+    look = _look(evening, first)
+    look()
+    name = first.name
+    evening.confirm(
+        f"Pull {cable.text}. Is it out?", action={"do": "cable", "instrument": name, "plugged": False}
+    )
+    told_s, why = _loss(evening, look)
+    evening.confirm(
+        f"Plug {cable.text} in again, and wait until it shows a link. Is it in?",
+        action={"do": "cable", "instrument": name, "plugged": True},
+    )
+    most_s = TRIES * 2.0 * evening.timeout_s(name)
+    back_s, still = _back(evening, [_look(evening, one) for one in cable.instruments])
+    figures = (
+        Figure("loss told after", told_s, "s", f"{most_s:.3g} s is the most"),
+        Figure("answers again after", back_s, "s", f"{PATIENCE_S:g} s is the most"),
+    )
+    if still is not None:
+        said = f"did not come back after its cable was plugged in again ({still.cause})"
+        return Finding(CABLE, still.instrument, State.COULD_NOT, said, figures, still.remedy)
+    if not why:
+        said = "went on answering with its cable pulled"
+        remedy = "was it another cable? The address in the bench file is then that of another instrument"
+        return Finding(CABLE, name, State.OTHER, said, figures, remedy)
+    if told_s > most_s:
+        said = f"its loss was told after {told_s:.3g} s, more than {most_s:.3g} s"
+        return Finding(
+            CABLE, name, State.SLOWER, said, figures, "give it a shorter timeout in the bench file"
+        )
+    return Finding(CABLE, name, State.WORKS, f"its loss was told ({why}), then it answered again", figures)
+
+
+def _looked_at(evening: Evening, instrument: Instrument) -> Finding:
+    _look(evening, instrument)()
+    return Finding(AGAIN, instrument.name, State.WORKS, "answers as before")
+
+
+def _look(evening: Evening, instrument: Instrument) -> Callable[[], object]:
+    """Return what asks an instrument something and changes nothing that a run relies on."""
+    if isinstance(instrument, Voltmeter):
+        return partial(instrument.configure, quick(evening, instrument))
+    if isinstance(instrument, ThermalChamber):
+        return partial(instrument.temperature, "commission/cable", settling=True)
+    if isinstance(instrument, PowerSupply):
+        return partial(instrument.state, "commission/cable")
+    if isinstance(instrument, _HasScale):
+        return instrument.position_rad
+    return instrument.open
+
+
+def _loss(evening: Evening, look: Callable[[], object]) -> tuple[float, str]:
+    """Ask an instrument whose cable is out; return how long it took to tell, s, and what it told ("": nothing).
+
+    Whatever it raises, the evening goes on: the cable is still out.
+    """
+    begun_s, told = evening.time_s(), ""
+    try:
+        look()
+    except BenchError as error:
+        told = error.cause
+    except Exception as error:
+        told = f"the driver failed with {type(error).__name__} ({error})"
+    return evening.time_s() - begun_s, told
+
+
+def _back(evening: Evening, looks: Sequence[Callable[[], object]]) -> tuple[float, BenchError | None]:
+    """Ask until all answer; return how long that took, s, and the last error where one does not."""
+    begun_s = evening.time_s()
+    while True:
+        try:
+            for look in looks:
+                look()
+            return evening.time_s() - begun_s, None
+        except BenchError as error:
+            if evening.time_s() - begun_s > PATIENCE_S:
+                return evening.time_s() - begun_s, error
+        evening.clock.sleep(PAUSE_S)
+
 
 IDENTITY: Final = "identity"
 BENCH: Final = "bench"
@@ -28,9 +164,9 @@ class Part:
 
 
 def _limits(evening: Evening) -> None:
-    heads.check_limits(evening)
-    surroundings.check_chamber_limits(evening)
-    surroundings.check_supply_limits(evening)
+    devices.check_limits(evening)
+    devices.check_chamber_limits(evening)
+    devices.check_supply_limits(evening)
 
 
 def _identities(evening: Evening) -> None:
@@ -73,30 +209,30 @@ PARTS: Final = (
     Part(
         "head",
         "The head makes small moves, each announced; keep an eye on the cables.",
-        heads.check_moves,
+        devices.check_moves,
     ),
     Part(
         "chamber",
         "The chamber is read and put into standby.",
-        surroundings.check_standby,
+        devices.check_standby,
         applies=lambda evening: evening.instruments.chamber is not None,
     ),
     Part(
         "power supply",
         "Its outputs are read. Nothing is set or switched.",
-        surroundings.check_outputs,
+        devices.check_outputs,
         applies=lambda evening: evening.instruments.power_supply is not None,
     ),
     Part(
         "level",
         "The head is set to 0°, the level read on the platform in two positions half a turn apart.",
-        surroundings.check_level,
+        devices.check_level,
         applies=lambda evening: evening.instruments.level is not None,
     ),
     Part(
         "thermometer",
         "The thermometer at the block is read.",
-        surroundings.check_thermometer,
+        devices.check_thermometer,
         applies=lambda evening: evening.instruments.thermometer is not None,
     ),
     Part(

@@ -10,10 +10,9 @@ from typing import Any, Final
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import InstrumentForm
 from bench.config.devices.device import WiredForm
-from bench.run.answers import confirm
-from bench.run.control import OperatorWish
-from bench.run.states import Wish
-from bench.run.workbench import Instruments
+from bench.run.events import Wish
+from bench.run.instruments import Instruments
+from bench.run.person import OperatorWish, confirm
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces.errors import (
     BadReading,

@@ -18,7 +18,7 @@ from bench.certificate.signature.signatory import (
     why_not_trusted,
 )
 from bench.certificate.signature.xades import check_pdf, check_xml, sign_pdf, sign_xml
-from bench.run.manifest import RecordError
+from bench.run.events import RecordError
 from bench.services.errors import Refused
 from tests.support.signed import NOW, authority, blank_pdf, certified, in_file, no_passphrase
 

@@ -9,7 +9,7 @@ import pytest
 
 from bench.panel.following.events import Tail
 from bench.panel.following.stream import Follower, Followers
-from bench.run.manifest import EVENTS, RecordError
+from bench.run.events import EVENTS, RecordError
 from bench.run.record import Record
 from drivers.clock import utc_now
 from sim.world.clock import VirtualClock

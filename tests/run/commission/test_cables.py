@@ -4,9 +4,9 @@ import pytest
 
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
-from bench.run.commission.cables import cables, check_cables
+from bench.run.commission.course import cables, check_cables
 from bench.run.commission.session import State
-from bench.run.workbench import Instruments
+from bench.run.instruments import Instruments
 from drivers.manual.head import ManualHead
 from sim.world.clock import VirtualClock
 from tests.support.commission_bench import Head, Says, evening, lost, meters

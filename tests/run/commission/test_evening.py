@@ -3,9 +3,9 @@
 import pytest
 
 from bench.run.commission.session import ONLY_THESE, Ended, Evening, Finding, Skipped, State
-from bench.run.control import OperatorWish, RunControl
-from bench.run.states import Wish
-from bench.run.workbench import Instruments
+from bench.run.events import Wish
+from bench.run.instruments import Instruments
+from bench.run.person import OperatorWish, RunControl
 from drivers.interfaces import BadReading, InstrumentLost, InstrumentRefused, NoAnswer
 from sim.world.clock import VirtualClock
 from tests.support.commission_bench import Head, Says, evening, lost, meters

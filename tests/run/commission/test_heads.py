@@ -4,11 +4,11 @@ import math
 
 import pytest
 
-from bench.run.commission.heads import check_limits, check_moves
+from bench.run.commission.devices import check_limits, check_moves
 from bench.run.commission.session import Evening, State
-from bench.run.control import OperatorWish, RunControl
-from bench.run.states import Wish
-from bench.run.workbench import Instruments
+from bench.run.events import Wish
+from bench.run.instruments import Instruments
+from bench.run.person import OperatorWish, RunControl
 from drivers.interfaces import InstrumentLost, InstrumentRefused
 from drivers.manual.head import ManualHead
 from sim.world.clock import VirtualClock

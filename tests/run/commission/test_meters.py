@@ -15,7 +15,7 @@ from bench.run.commission.meters import (
     zero_limit_v,
 )
 from bench.run.commission.session import State
-from bench.run.workbench import Instruments
+from bench.run.instruments import Instruments
 from sim.world.clock import VirtualClock
 from tests.support.commission_bench import Head, Says, evening, meters
 

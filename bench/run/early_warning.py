@@ -20,22 +20,24 @@ from bench.model.block import Block
 from bench.model.forward import ForwardModel
 from bench.readings.reading import Reading, readings_of
 from bench.readings.table import UNORIENTED
+from bench.run.causes import Confidence, Inquiry, likeliest
 from bench.run.events import Event, EventType, Mounted
-from bench.run.resume import Progress
-from bench.run.watch.causes import Confidence, Inquiry, likeliest
-from bench.run.watch.expectation import (
+from bench.run.expectation import (
     SETTING,
     EarlySign,
     Expectation,
     Judgement,
     NoiseSizes,
     RepeatNoise,
+    Sighting,
+    Suspect,
     millivolts,
     misfit,
+    orientations,
     poses,
     why,
 )
-from bench.run.watch.suppositions import Sighting, Suspect, orientations
+from bench.run.resume import Progress
 from drivers.angles import format_dms
 
 SCALE_FACTOR_U: Final = 0.03

@@ -14,8 +14,7 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.model.block import Block
 from bench.model.conditions import Mounting
 from bench.model.forward import ForwardModel
-from bench.run.watch.expectation import SETTING, Expectation, ExpectedPose, Judgement, NoiseSizes, poses
-from bench.run.watch.suppositions import (
+from bench.run.expectation import (
     ABSENT,
     AS_IT_IS,
     CABLED,
@@ -26,17 +25,23 @@ from bench.run.watch.suppositions import (
     REVERSALS,
     REVERSED_MEANWHILE,
     SAT_RIGHT,
+    SETTING,
     SHIFTS,
     UNLIKELY,
     Elsewhere,
+    Expectation,
+    ExpectedPose,
+    Judgement,
     Kind,
     Member,
+    NoiseSizes,
     Replay,
     Sighting,
     Supposed,
     Suspect,
     head_elsewhere,
     other_installation,
+    poses,
 )
 from drivers.angles import format_dms
 

@@ -11,7 +11,7 @@ from scipy import stats
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.reading import Reading
-from bench.run.watch.early_warning import EarlyWarning
+from bench.run.early_warning import EarlyWarning
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 
 PSI = np.pi / 4

@@ -1,1 +1,0 @@
-"""Each reading held against what the readings before it make expected, as it comes."""
