@@ -1,4 +1,7 @@
-"""The tree of rooms and who may import whom, from the contract that the imports are held against."""
+"""The tree of rooms and who may import whom, from the contract that the imports are held against.
+
+    python -m docs.generators.rooms        # write the list of rooms into CONTRIBUTING.md
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,10 @@ from typing import Any, Final
 from docs.generators.markdown import first_line, table
 
 ROOT: Final = Path(__file__).parents[2]
+CONTRIBUTING: Final = ROOT / "CONTRIBUTING.md"
 _LAYERS: Final = "layers"
+_BEGIN: Final = "<!-- rooms, made by python -m docs.generators.rooms -->"
+_END: Final = "<!-- end of the rooms -->"
 
 
 def _contracts() -> list[dict[str, Any]]:
@@ -51,6 +57,20 @@ def fragment() -> str:
     )
 
 
+def listing(text: str) -> str:
+    """Return the text of CONTRIBUTING.md with the list of rooms as the code has it now."""
+    before, _, rest = text.partition(_BEGIN)
+    _, _, after = rest.partition(_END)
+    rooms = [f"bench.{name}" for floor in layers() for name in floor] + ["drivers", "sim"]
+    rows = [(f"`{place.replace('.', '/')}`", _holds(place), ", ".join(_inside(place))) for place in rooms]
+    return f"{before}{_BEGIN}\n{table(('room', 'what it holds', 'rooms inside'), rows)}\n{_END}{after}"
+
+
+def _inside(place: str) -> list[str]:
+    folder = ROOT.joinpath(*place.split("."))
+    return [f"`{path.parent.name}`" for path in sorted(folder.glob("*/__init__.py"))]
+
+
 def _folders(*tops: str) -> list[str]:
     return [
         f"{top}.{path.parent.name}" for top in tops for path in sorted((ROOT / top).glob("*/__init__.py"))
@@ -63,3 +83,7 @@ def _holds(module: str) -> str:
     file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
     return first_line(text).partition(". ")[0].rstrip(".")
+
+
+if __name__ == "__main__":
+    CONTRIBUTING.write_text(listing(CONTRIBUTING.read_text(encoding="utf-8")), encoding="utf-8")
