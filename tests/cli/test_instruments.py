@@ -241,19 +241,20 @@ def test_an_instrument_that_was_not_left_safe_is_told() -> None:
 
     class Interrupted(SystemClock):
         def now_s(self) -> float:
-            if threading.active_count() > before:
+            if begun.is_set():
                 raise KeyboardInterrupt
             return super().now_s()
 
     class Busy(Turning):
         def position_rad(self) -> float:
+            begun.set()
             return Stuck.position_rad(self)
 
         def close(self) -> str:  # type: ignore[override]
             Stuck.close(self)
             return super().close()
 
-    before = threading.active_count()
+    begun = threading.Event()
     with pytest.raises(
         BenchError, match="stopped, and not everything was left safe; head press its emergency"
     ):

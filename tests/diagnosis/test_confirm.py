@@ -29,16 +29,16 @@ def held_against(found, seed, **hidden):
 def test_an_effect_that_is_there_again_is_confirmed_and_closes_the_gap():
     told = held_against(FOUND, 61, K2=(0.0, 100e-6, 0.0))
     assert told.verdict == "confirmed"
-    whole = told.to_dict()
-    assert whole["closed"] == pytest.approx((whole["before"] - whole["after"]) / (whole["before"] - 1.0))
+    before, after = told.before.reduced, told.after.reduced
+    assert told.closed == pytest.approx((before - after) / (before - 1.0))
     # 148 numbers beyond the coefficients and their noise: the chi-square is within 4 deviations of its floor
-    assert abs(whole["after"] - 1.0) < 4 * np.sqrt(2 / 148 + 2 / 148)
-    assert whole["before"] > 2.0
-    assert whole["before_rms_ug"] > whole["after_rms_ug"]
-    assert whole["after_rms_ug"] == pytest.approx(whole["expected_rms_ug"], rel=0.2)
-    (now,) = whole["effects"][0]["parameters"]
-    assert (now["value"], now["u"], now["unit"]) == (pytest.approx(100.0), pytest.approx(4.0), "ug/g^2")
-    assert abs(now["now"] - 100.0) < 4 * now["u_now"]
+    assert abs(after - 1.0) < 4 * np.sqrt(2 / 148 + 2 / 148)
+    assert before > 2.0
+    assert told.before.rms_g > told.after.rms_g
+    assert told.after.rms_g == pytest.approx(told.after.expected_rms_g, rel=0.2)
+    ((was,), (now,)) = told.effects[0].found, told.effects[0].now
+    assert (was.value, was.u, was.unit) == (pytest.approx(100.0), pytest.approx(4.0), "ug/g^2")
+    assert abs(now.value - 100.0) < 4 * now.u
 
 
 @pytest.mark.slow
