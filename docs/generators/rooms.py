@@ -1,6 +1,6 @@
 """The tree of rooms and who may import whom, from the contract that the imports are held against.
 
-    python -m docs.generators.rooms        # write the list of rooms into CONTRIBUTING.md
+`python -c 'from docs.generators import rooms; rooms.write()'` brings the list of rooms in CONTRIBUTING.md up to date.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from docs.generators.markdown import first_line, table
 ROOT: Final = Path(__file__).parents[2]
 CONTRIBUTING: Final = ROOT / "CONTRIBUTING.md"
 _LAYERS: Final = "layers"
-_BEGIN: Final = "<!-- rooms, made by python -m docs.generators.rooms -->"
+_BEGIN: Final = "<!-- rooms: made by docs/generators/rooms.py, write() -->"
 _END: Final = "<!-- end of the rooms -->"
 
 
@@ -85,5 +85,6 @@ def _holds(module: str) -> str:
     return first_line(text).partition(". ")[0].rstrip(".")
 
 
-if __name__ == "__main__":
+def write() -> None:
+    """Bring the list of rooms in CONTRIBUTING.md up to date."""
     CONTRIBUTING.write_text(listing(CONTRIBUTING.read_text(encoding="utf-8")), encoding="utf-8")
