@@ -1,6 +1,6 @@
 """The tree of rooms and who may import whom, from the contract that the imports are held against.
 
-`python -c 'from docs.generators import rooms; rooms.write()'` brings the list of rooms in CONTRIBUTING.md up to date.
+`python -c 'from docs.generators import rooms; rooms.write()'` updates the list of rooms in CONTRIBUTING.md.
 """
 
 from __future__ import annotations
