@@ -1,14 +1,13 @@
-"""How large the program is and how far its parts hang together: a report, no gate.
+"""How large the program is and how its parts hang together, beside the budgets of its rooms: a report, no gate.
 
-Lines, files and medians of each room; files that are long or small; import circles at module level and with imports
-inside functions; modules that one other imports; the files that four commands run through:
+Lines, files and median of each room; long and small files; import circles at module level and with imports inside
+functions; modules that one other imports, and those that most import; the files that four commands run through:
 
     python -m benchmarks.house            # about a minute; --no-paths leaves the commands out
 """
 
 from __future__ import annotations
 
-import argparse
 import ast
 import json
 import os
@@ -23,10 +22,20 @@ from pathlib import Path
 from statistics import median
 from typing import Final
 
-ROOT: Final = Path(__file__).parents[1]
+from benchmarks.campaign import ROOT, arguments
+
 PRODUCT: Final = ("bench", "drivers", "sim")
 BESIDE: Final = ("tests", "benchmarks")
-LONG, SMALL = 600, 40
+LONG, SMALL, MOST = 600, 40, 12
+BUDGETS: Final = {
+    "drivers": 7000, "sim": 8200, "base + model + readings": 4500, "config": 6000, "run": 8000, "stats": 1900,
+    "calibration": 7500, "diagnosis": 6500, "planning": 2200, "history": 4000, "results": 5000, "services": 4500,
+    "cli": 4200, "panel + certificate + catalogue + batch + exchange": 12400,
+}  # fmt: skip
+"""Lines that the rooms may have, several of them together where a plus stands."""
+WHOLE: Final = {"lines": 82_000, "files": 340, "tests": 46_000, "benchmarks": 9_000}
+PATHS: Final = {"run paper --dry-run": 170, "calibrate": 90, "diagnose": 130, "certificate --draft": 110}
+"""Files that a command may run through."""
 
 COMMANDS: Final = {
     "run paper --dry-run": ("run", "paper", "--dry-run", "--seed", "1", "--name", "house"),
@@ -74,9 +83,9 @@ class Module:
 
     @property
     def room(self) -> str:
-        """The folder that it stands in: the top one of drivers and simulation, below `bench` the room."""
-        parts = self.path.relative_to(ROOT).parts[:-1]
-        return "/".join(parts[: 3 if parts[1:2] == ("analysis",) else 2 if parts[0] == "bench" else 1])
+        """The room that it stands in: a folder of `bench`, or the whole of drivers or simulation."""
+        parts = self.path.relative_to(ROOT).parts
+        return parts[0] if parts[0] != "bench" else parts[1] if len(parts) > 2 else "bench"
 
     @property
     def lines(self) -> int:
@@ -148,22 +157,30 @@ def circles(edges: Mapping[str, Iterable[str]]) -> list[list[str]]:
 
 
 def print_rooms(known: Mapping[str, Module]) -> None:
-    """Print lines, files and the median file of each room."""
+    """Print lines, files and the median file of each room, beside what the rooms may have."""
     rooms: dict[str, list[int]] = {}
     for module in known.values():
         rooms.setdefault(module.room, []).append(module.lines)
-    print(f"{'room':<32}{'lines':>8}{'files':>7}{'median':>8}")
-    for room, lines in rooms.items():
-        print(f"{room:<32}{sum(lines):>8}{len(lines):>7}{median(lines):>8.0f}")
-    every = [module.lines for module in known.values()]
-    print(f"{'the program':<32}{sum(every):>8}{len(every):>7}{median(every):>8.0f}")
+    print(f"{'room':<50}{'lines':>8}{'files':>7}{'median':>8}{'budget':>8}")
+    for names, budget in {
+        **BUDGETS,
+        **dict.fromkeys(rooms.keys() - " + ".join(BUDGETS).split(" + ")),
+    }.items():
+        lines = [one for name in names.split(" + ") for one in rooms.get(name, ())]
+        _print_room(names, lines, budget)
+    _print_room("the program", [module.lines for module in known.values()], WHOLE["lines"])
     for top in BESIDE:
-        lines = [path.read_text(encoding="utf-8").count("\n") for path in (ROOT / top).rglob("*.py")]
-        print(f"{top:<32}{sum(lines):>8}{len(lines):>7}{median(lines):>8.0f}")
+        files = list((ROOT / top).rglob("*.py"))
+        _print_room(top, [path.read_text(encoding="utf-8").count("\n") for path in files], WHOLE[top])
+    print(f"the program may have {WHOLE['files']} files")
+
+
+def _print_room(name: str, lines: list[int], budget: int | None) -> None:
+    print(f"{name:<50}{sum(lines):>8}{len(lines):>7}{median(lines):>8.0f}{budget or '':>8}")
 
 
 def print_shape(known: Mapping[str, Module]) -> None:
-    """Print what is long, small, imported by one other alone, and what imports itself by a way round."""
+    """Print what is long or small, who imports whom, and what imports itself in a circle."""
     for module in known.values():
         if module.lines > LONG:
             print(f"over {LONG} lines: {module.path.relative_to(ROOT)} ({module.lines})")
@@ -173,6 +190,7 @@ def print_shape(known: Mapping[str, Module]) -> None:
     fan_in = Counter(other for others in inner.values() for other in others)
     once = sum(fan_in[name] == 1 for name in known)
     print(f"{small} files under {SMALL} lines; {once} modules that one other imports")
+    print("imported by most: " + ", ".join(f"{name} {count}" for name, count in fan_in.most_common(MOST)))
     for what, edges in (("module level", outer), ("functions included", inner)):
         print(f"import circles, {what}: {[len(circle) for circle in circles(edges)] or 'none'}")
     for circle in circles(outer):
@@ -182,7 +200,7 @@ def print_shape(known: Mapping[str, Module]) -> None:
 def print_paths() -> None:
     """Print how many files, functions and rooms each of the commands runs through."""
     known = {str(module.path.relative_to(ROOT)): module for module in modules().values()}
-    print(f"{'path of':<32}{'files':>8}{'functions':>11}{'rooms':>7}")
+    print(f"{'path of':<32}{'files':>8}{'functions':>11}{'rooms':>7}{'files, budget':>15}")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for file in ("laboratory.yaml", "order.yaml"):
@@ -199,16 +217,13 @@ def print_paths() -> None:
             told = json.loads(answer.read_text(encoding="utf-8"))
             rooms = {known[file].room for file in told["files"]}
             status = f"  (exit status {told['status']})" if told["status"] else ""
-            print(f"{command:<32}{len(told['files']):>8}{told['functions']:>11}{len(rooms):>7}{status}")
+            numbers = f"{len(told['files']):>8}{told['functions']:>11}{len(rooms):>7}{PATHS[command]:>15}"
+            print(f"{command:<32}{numbers}{status}")
 
 
 def main() -> None:
     """Print the whole report."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--no-paths", action="store_true", help="leave out the commands")
-    given = parser.parse_args()
+    given = arguments(__doc__, no_paths=(False, "leave out the commands"))
     known = modules()
     print_rooms(known)
     print_shape(known)

@@ -3,13 +3,15 @@
     python -m benchmarks.same_results store OLD --program /path/of/old/.venv/bin/bench --seeds 50
     python -m benchmarks.same_results store NEW --program .venv/bin/bench --seeds 50
     python -m benchmarks.same_results compare OLD NEW
+    python -m benchmarks.same_results schemas /path/of/old/docs/schemas
 
 `store` makes seeded dry runs and stores the JSON, pages, records, readings and draft certificates of every command
 that evaluates them. It calls the program as a user does, so that it can store what an older version gives.
 `compare` asks that JSON and XML have the same members, texts and integers, and that numbers agree to 1e-9 of the
 largest number beside them. Of pages it compares the numbers of the text and the plotted data. Texts that differ in
 words alone are listed as reworded, which is no difference. `IGNORED` lists what is left out. The exit status is 1
-where anything differs. A draft's XML is compared as taken from its PDF by `pdfdetach`, where that is installed.
+where anything differs.
+`schemas` asks that this version's JSON schemas have every member of those in a folder, and lists what is new.
 """
 
 from __future__ import annotations
@@ -26,6 +28,8 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any, Final
 from xml.etree import ElementTree
+
+from benchmarks.campaign import ROOT, amiss
 
 RELATIVE: Final = 1e-9
 PROCEDURES: Final = ("paper", "quick", "calibration", "paper", "turn-12", "remount-180")
@@ -246,6 +250,54 @@ def compare(one: Path, other: Path) -> Differences:
     return found
 
 
+Defs = dict[str, Any]
+
+
+def members(
+    schema: Defs, defs: Defs, path: str = "", seen: tuple[str, ...] = ()
+) -> Iterator[tuple[str, bool]]:
+    """Yield each member of a JSON schema by its path, and whether it is always there."""
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        if name not in seen:
+            yield from members(defs[name], defs, path, (*seen, name))
+        return
+    for name, member in schema.get("properties", {}).items():
+        yield f"{path}.{name}", name in schema.get("required", ())
+        yield from members(member, defs, f"{path}.{name}", seen)
+    inside = {
+        path: [one for key in ("anyOf", "oneOf", "allOf") for one in schema.get(key, ())],
+        f"{path}.{{}}": [schema.get("additionalProperties")],
+        f"{path}[]": [schema.get("items"), *schema.get("prefixItems", ())],
+    }
+    for below, parts in inside.items():
+        for part in parts:
+            if isinstance(part, dict):
+                yield from members(part, defs, below, seen)
+
+
+def compare_schemas(older: Path) -> list[str]:
+    """Print how this version's schemas differ from older ones; return what they lack."""
+    from bench.results.schemas import RESULTS, model_of
+
+    lacking = []
+    for path in sorted(older.glob("*.json")):
+        name = path.stem
+        before = json.loads(path.read_text(encoding="utf-8"))
+        kept = ROOT / "docs" / "schemas" / path.name
+        if name not in RESULTS and not kept.exists():
+            lacking.append(f"{name}: the whole schema")
+            continue
+        now = model_of(name).schema_of(name) if name in RESULTS else json.loads(kept.read_text("utf-8"))
+        old, new = (dict(members(one, one.get("$defs", {}))) for one in (before, now))
+        lacking += [f"{name}: {member}" for member in old.keys() - new.keys()]
+        for member in sorted(new.keys() - old.keys()):
+            print(f"more      {name}: {member}")
+        for member in sorted(m for m in old.keys() & new.keys() if old[m] != new[m]):
+            print(f"changed   {name}: {member} was {'always' if old[member] else 'not always'} there")
+    return lacking
+
+
 def main() -> None:
     """Store or compare."""
     parser = argparse.ArgumentParser(
@@ -259,10 +311,14 @@ def main() -> None:
     comparing = does.add_parser("compare")
     comparing.add_argument("one", type=Path)
     comparing.add_argument("other", type=Path)
+    does.add_parser("schemas").add_argument("folder", type=Path)
     given = parser.parse_args()
     if given.does == "store":
         store(given.folder, given.program, given.seeds)
         return
+    if given.does == "schemas":
+        lacking = compare_schemas(given.folder)
+        sys.exit(amiss(lacking, "lacks    "))
     found = compare(given.one, given.other)
     for line in found.reworded:
         print(f"reworded  {line}")

@@ -25,9 +25,15 @@ standard uncertainties unless the name is `U`.
 
 def schemas() -> dict[str, dict[str, Any]]:
     """Return the schemas by name, those of most use first."""
-    kept = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in FOLDER.glob("*.json")}
+    kept = {path.stem: kept_schema(path.stem) for path in FOLDER.glob("*.json")}
     found = {**kept, **{name: model_of(name).schema_of(name) for name in RESULTS}}
     return {name: found[name] for name in (*_FIRST, *sorted(found.keys() - set(_FIRST)))}
+
+
+def kept_schema(name: str) -> dict[str, Any]:
+    """Return a schema that is kept as a file."""
+    schema: dict[str, Any] = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+    return schema
 
 
 def page() -> str:

@@ -23,5 +23,5 @@ def test_an_import_inside_a_function_is_told_apart_from_one_of_the_module():
 def test_the_program_is_found_whole():
     known = modules()
     assert {"bench", "bench.base.arrays", "drivers.clock", "sim.world"} <= set(known)
-    assert known["bench.base.arrays"].room == "bench/base"
+    assert known["bench.base.arrays"].room == "base"
     assert all(other in known for one in known.values() for other in one.imported(known, inner=True))

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from benchmarks.same_results import Differences, compare
+from benchmarks.same_results import Differences, compare, compare_schemas, members
 
 
 def differences(one, other):
@@ -58,3 +58,23 @@ def test_a_file_that_one_store_lacks_is_a_difference(tmp_path):
     (tmp_path / "b").mkdir()
     (tmp_path / "a" / "verify.json").write_text("{}", encoding="utf-8")
     assert compare(tmp_path / "a", tmp_path / "b").different == ["verify.json: in one store alone"]
+
+
+def test_members_of_a_schema_are_told_by_path_through_references_lists_and_maps():
+    part = {"type": "object", "properties": {"u": {}, "more": {"$ref": "#/$defs/Part"}}, "required": ["u"]}
+    schema = {
+        "properties": {"a": {"$ref": "#/$defs/Part"}, "b": {"items": {"anyOf": [{"$ref": "#/$defs/Part"}]}}},
+        "additionalProperties": {"properties": {"c": {}}},
+        "$defs": {"Part": part},
+    }
+    found = dict(members(schema, schema["$defs"]))
+    paths = {".a", ".a.u", ".a.more", ".b", ".b[].u", ".b[].more", ".{}.c"}
+    assert (found.keys(), found[".a.u"], found[".a"]) == (paths, True, False)
+
+
+def test_a_member_that_this_version_lacks_is_told(tmp_path):
+    old = {"properties": {"closed": {}, "lost": {"properties": {"deep": {}}}}, "required": ["closed"]}
+    (tmp_path / "confirm.json").write_text(json.dumps(old), encoding="utf-8")
+    (tmp_path / "gone.json").write_text("{}", encoding="utf-8")
+    lacking = {"confirm: .lost", "confirm: .lost.deep", "gone: the whole schema"}
+    assert set(compare_schemas(tmp_path)) == lacking

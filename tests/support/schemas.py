@@ -1,14 +1,36 @@
-"""Results held against the schemas under docs/schemas."""
+"""Results held against their JSON schemas."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from functools import cache
 from typing import Any, Final
 
 from jsonschema import Draft202012Validator
 
-from docs.generators.results import schemas
+from bench.results.schemas import RESULTS, model_of
+from docs.generators.results import FOLDER, kept_schema
 
-VALIDATORS: Final = {name: Draft202012Validator(schema) for name, schema in schemas().items()}
+
+class Validators(Mapping[str, Draft202012Validator]):
+    """A validator for each schema by name, made when it is asked for."""
+
+    @cache  # noqa: B019 - one for all tests
+    def __getitem__(self, name: str) -> Draft202012Validator:
+        schema = model_of(name).schema_of(name) if name in RESULTS else kept_schema(name)
+        return Draft202012Validator(schema)
+
+    def __iter__(self) -> Iterator[str]:
+        yield from sorted({*RESULTS, *(path.stem for path in FOLDER.glob("*.json"))})
+
+    def __len__(self) -> int:
+        return len(list(self))
+
+    def __hash__(self) -> int:
+        return id(self)
+
+
+VALIDATORS: Final = Validators()
 
 
 def keeps_to(name: str, result: Any) -> None:

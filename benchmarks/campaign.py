@@ -1,0 +1,319 @@
+"""What all campaigns share: command line, processes, a file to resume from, shares with intervals, tables, exit.
+
+A campaign itself says what a case is, how one is carried out and what is counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import contextlib
+import io
+import json
+import multiprocessing
+import resource
+import sys
+import time
+import zlib
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import Any, Final, NamedTuple, TypeVar
+
+import numpy as np
+from scipy.stats import binomtest
+
+from bench.base.arrays import Floats, Mask
+from bench.model.block import COEFFICIENTS
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+PROGRAM: Final = (sys.executable, "-c", "from bench.cli.program import main; main()")
+EMPTY_FIGURE: Final = '<svg viewBox="0 0 1 1"></svg>'
+"""In place of the figures of pages, which cost more than all else."""
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+# --- the command line ---------------------------------------------------------------------------------
+
+
+def arguments(doc: str | None, given: Sequence[str] | None = None, /, **options: Any) -> argparse.Namespace:
+    """Read the command line of a campaign, whose help is its docstring.
+
+    An option is described by its default: False is a flag, a list takes several values, a type is an option that
+    is None where it is absent. A pair is a default with a help text, a dictionary goes to argparse as it is (with
+    "positional" as no option). `workers` may be called `--jobs` as well.
+    """
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name, default in options.items():
+        words = default if isinstance(default, dict) else _option(default)
+        if words.pop("positional", False):
+            parser.add_argument(name, **words)
+            continue
+        flags = [f"--{name.replace('_', '-')}", *(["--jobs"] if name == "workers" else [])]
+        parser.add_argument(*flags, **words)
+    return parser.parse_args(given)
+
+
+def _option(default: Any) -> dict[str, Any]:
+    if isinstance(default, tuple):
+        return {**_option(default[0]), "help": default[1]}
+    if default is False:
+        return {"action": "store_true"}
+    if isinstance(default, list):
+        return {"nargs": "+", "type": type(default[0]), "default": default}
+    if isinstance(default, type):
+        return {"type": default}
+    return {"type": type(default), "default": default}
+
+
+def finish(broken: Sequence[str], holds: str = "every promise holds") -> int:
+    """Print what is broken, or that nothing is; return the exit status."""
+    print("\n".join(["broken:", *broken]) if broken else holds)
+    return 1 if broken else 0
+
+
+# --- processes ----------------------------------------------------------------------------------------
+
+
+def spread(
+    work: Callable[[Task], Result], tasks: Iterable[Task], workers: int, chunk: int = 4
+) -> Iterator[Result]:
+    """Yield the result of each task in order, worked out in so many processes (1: in this one).
+
+    The processes are fresh interpreters: a fork would copy the threads of a linear algebra library.
+    """
+    if workers == 1:
+        yield from map(work, tasks)
+        return
+    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield from pool.map(work, tasks, chunksize=chunk)
+
+
+def columns(
+    work: Callable[..., Sequence[Any]], count: int, workers: int, size: int = 100, /, **fixed: Any
+) -> list[Any]:
+    """Return the columns of `work(range, …)` over so many numbered runs, each put together over all chunks."""
+    chunks = [range(first, min(first + size, count)) for first in range(0, count, size)]
+    parts = list(spread(partial(work, **fixed), chunks, workers, 1))
+    return [np.concatenate(column) for column in zip(*parts, strict=True)]
+
+
+class Cost(NamedTuple):
+    """What work in a process of its own returned, and what it took: s, s and MB."""
+
+    result: Any
+    cpu_s: float
+    wall_s: float
+    peak_mb: float
+
+
+def cost_of(work: Callable[..., Any], *given: Any) -> Cost:
+    """Do work in a fresh process. CPU time and memory are those of the whole process."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context) as pool:
+        return pool.submit(_measured, work, *given).result()
+
+
+def _measured(work: Callable[..., Any], *given: Any) -> Cost:
+    begun = time.perf_counter()
+    result = work(*given)
+    wall_s = time.perf_counter() - begun
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    cpu_s = sum(one.ru_utime + one.ru_stime for one in used)
+    return Cost(result, cpu_s, wall_s, max(one.ru_maxrss for one in used) / 1024)
+
+
+def medians(
+    calls: Mapping[str, Callable[[int], object]],
+    times: int,
+    clock: Callable[[], float] = time.process_time,
+) -> dict[str, float]:
+    """Return the median time of each call, s, taken in turns, so that a busy machine is busy for all."""
+    spent: dict[str, list[float]] = {name: [] for name in calls}
+    for number in range(times):
+        for name, call in calls.items():
+            begun = clock()
+            call(number)
+            spent[name].append(clock() - begun)
+    return {name: median(each) for name, each in spent.items()}
+
+
+class Said(NamedTuple):
+    """How a command ended, what it printed, and how long it took."""
+
+    status: int
+    out: str
+    err: str
+    seconds: float
+
+
+def command(*words: object, stdin: str = "") -> Said:
+    """Carry out a command of the program in this process."""
+    from bench.cli.app import main
+
+    out, err, before = io.StringIO(), io.StringIO(), sys.stdin
+    begun, status = time.monotonic(), 0
+    sys.stdin = io.StringIO(stdin)
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            main([str(word) for word in words])
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else 2
+    finally:
+        sys.stdin = before
+    return Said(status, out.getvalue(), err.getvalue(), time.monotonic() - begun)
+
+
+# --- a file to resume from ----------------------------------------------------------------------------
+
+
+class Kept:
+    """Results in a file by their key, appended as they come, so that an interrupted campaign goes on from there.
+
+    A line is JSON, compressed and written as text. A kill cuts off the last line, whose result is made again. The
+    first line says what the results are of, such as the seed and the program: those of another are never mixed in.
+    """
+
+    def __init__(self, path: Path, head: Mapping[str, object]) -> None:
+        """Open a file, or begin it. Raises `ValueError` where it is of another head, or no such file."""
+        self._path, self._start = path, time.perf_counter()
+        text = path.read_bytes() if path.exists() else b""
+        whole = text[: text.rfind(b"\n") + 1] if text else _packed(head)
+        try:
+            lines = [json.loads(zlib.decompress(base64.b64decode(line))) for line in whole.splitlines()]
+            other = [name for name in head if lines[0][name] != head[name]]
+        except (ValueError, zlib.error, LookupError, TypeError) as error:
+            raise ValueError(f"{path}: holds no results of a campaign; name another file") from error
+        if other:
+            raise ValueError(
+                f"{path}: its results are of another {other[0]}; name another file, or remove it"
+            )
+        if whole != text:
+            path.write_bytes(whole)
+        self._done = {tuple(line["key"]): line["result"] for line in lines[1:]}
+        ended = {line["call"]: line["elapsed_s"] for line in lines[1:]}
+        self._before_s, self._call = sum(ended.values()), len(ended)
+
+    @property
+    def seconds(self) -> float:
+        """How long the campaign took so far, all its parts together, s."""
+        return float(self._before_s) + time.perf_counter() - self._start
+
+    def get(self, *key: object) -> Any:
+        """Return the result of a key; None where it is still to be made."""
+        return self._done.get(key)
+
+    def keep(self, result: object, *key: object) -> None:
+        """Append a result."""
+        elapsed_s = round(time.perf_counter() - self._start, 1)
+        line = {"key": key, "result": result, "call": self._call, "elapsed_s": elapsed_s}
+        with self._path.open("ab") as file:
+            file.write(_packed(line))
+
+
+def _packed(line: object) -> bytes:
+    return base64.b64encode(zlib.compress(json.dumps(line).encode())) + b"\n"
+
+
+# --- what is counted ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Share:
+    """So many of so many, with the Wilson 95 % interval."""
+
+    successes: int
+    of: int
+
+    @classmethod
+    def true(cls, mask: Mask) -> Share:
+        """Return how many of a mask are true."""
+        return cls(int(np.sum(mask)), int(np.size(mask)))
+
+    @property
+    def part(self) -> float:
+        """The share itself; NaN where there was nothing to count."""
+        return self.successes / self.of if self.of else float("nan")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Lower and upper end; 0 and 1 where there was nothing to count."""
+        if not self.of:
+            return 0.0, 1.0
+        ci = binomtest(self.successes, self.of).proportion_ci(confidence_level=0.95, method="wilson")
+        return float(ci.low), float(ci.high)
+
+    def __str__(self) -> str:
+        if not self.of:
+            return "–"
+        low, high = self.interval
+        return f"{self.part:.3f} ({self.successes}/{self.of}; {low:.3f}–{high:.3f})"
+
+    @property
+    def percent(self) -> str:
+        """The share and its interval in per cent."""
+        low, high = self.interval
+        return f"{100 * self.part:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+
+
+def rms(z: Floats, axis: int | None = 0) -> Any:
+    """Return the root mean square, by default of each column."""
+    return np.sqrt(np.mean(np.square(z), axis=axis))
+
+
+def rms_told(z: Floats, by_run: bool = False) -> str:
+    """Return the root mean square with its standard error from the squares; `by_run`, from their means by run."""
+    squares = np.mean(z**2, axis=1) if by_run else z.ravel() ** 2
+    size = float(np.sqrt(squares.mean()))
+    return f"{size:.3f} ± {float(squares.std(ddof=1)) / np.sqrt(len(squares)) / (2 * size):.3f}"
+
+
+def show_by_coefficient(rows: Mapping[str, Floats]) -> None:
+    """Print a line of twelve numbers for each name."""
+    for name, values in rows.items():
+        print(f"  {name:14}" + " ".join(f"{value:6.3f}" for value in values))
+
+
+def outside(what: str, values: Floats, low: float, high: float = np.inf) -> list[str]:
+    """Say which of the twelve coefficients have a value outside of these bounds."""
+    pairs = zip(COEFFICIENTS, values, strict=True)
+    return [f"{what} of {name} is {value:.3f}" for name, value in pairs if value < low or value > high]
+
+
+def markdown(heads: Sequence[object], rows: Iterable[Sequence[object]]) -> Iterator[str]:
+    """Yield the lines of a table, its rows as they come."""
+    yield f"| {' | '.join(map(str, heads))} |"
+    yield f"|{'---|' * len(heads)}"
+    for cells in rows:
+        yield f"| {' | '.join(map(str, cells))} |"
+
+
+def by_kind(
+    outcomes: Sequence[Result],
+    kinds: Iterable[str],
+    kind_of: Callable[[Result], str],
+    counts: Mapping[str, Callable[[Sequence[Result]], object]],
+) -> str:
+    """Return a table of what is counted of the outcomes of each kind, and of all."""
+    of: dict[str, list[Result]] = defaultdict(list)
+    for outcome in outcomes:
+        of[kind_of(outcome)].append(outcome)
+        of["all"].append(outcome)
+    lines = [f"{'':16}" + "".join(f"{heading:>11}" for heading in counts)]
+    for kind in (*kinds, "all"):
+        if rows := of.get(kind):
+            lines.append(f"{kind:16}" + "".join(f"{count(rows)!s:>11}" for count in counts.values()))
+    return "\n".join(lines)
+
+
+def amiss(found: Sequence[str], word: str = "VIOLATION", most: int | None = None) -> int:
+    """Print what was found amiss, a line each; return the exit status."""
+    for text in found[:most]:
+        print(f"{word} {text}")
+    return 1 if found else 0
