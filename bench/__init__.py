@@ -18,7 +18,7 @@ TYPE_CHECKING = False  # as `typing` has it: its import would be a while in whic
 if TYPE_CHECKING:
     from typing import Any, Final
 
-    from bench.base.forms import FileMistakes as FileMistakes
+    from bench.base.yaml_files import FileMistakes as FileMistakes
     from bench.calibration import CalibrationError as CalibrationError
     from bench.config.bench_file.file import BenchFile as BenchFile
     from bench.readings.csv import ReadingsError as ReadingsError
@@ -61,7 +61,7 @@ _HOMES: Final = {
     "bench.services.free_diagnosis": ("FreeDiagnosisResult",),
     "bench.services.learning": ("LearningResult",),
     "bench.services.verification": ("VerificationResult",),
-    "bench.base.forms": ("FileMistakes",),
+    "bench.base.yaml_files": ("FileMistakes",),
     "bench.config.bench_file.file": ("BenchFile",),
     "bench.readings.csv": ("ReadingsError",),
     "bench.readings.table": ("Readings",),

@@ -32,7 +32,7 @@ from bench.run.person import ANSWERS, LeftAnswer, OpenPrompt, Who, leave_answer,
 from bench.run.record import parse_line, read_history
 from benchmarks.kill_campaign import PROGRAM, differences
 from drivers.angles import format_dms, parse_angle
-from drivers.interfaces import Prompt, PromptKind
+from drivers.person import Prompt, PromptKind
 
 PROCEDURE: Final = "quick"
 PANEL: Final = Who("Ann", "operator", "panel")

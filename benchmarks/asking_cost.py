@@ -27,8 +27,8 @@ from bench.run.runner import Runner
 from bench.run.terminal import TerminalPerson
 from benchmarks.runner_cost import READINGS, Meter, plan
 from drivers.clock import utc_now
-from drivers.interfaces import Answer, Prompt
-from drivers.manual.head import ManualHead
+from drivers.instruments.manual import ManualHead
+from drivers.person import Answer, Prompt
 from sim.world.clock import VirtualClock
 
 LATER = record_module.WITH_THE_NEXT

@@ -42,7 +42,7 @@ from pyarrow import parquet
 from bench.batch.job import CALIBRATE, Job
 from bench.batch.store import list_runs
 from bench.batch.work import worked
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 
 _SAMPLE: Final = 20
 _TICKS: Final = os.sysconf("SC_CLK_TCK")

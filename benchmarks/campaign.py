@@ -28,7 +28,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from bench.base.arrays import Floats, Mask
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 PROGRAM: Final = (sys.executable, "-c", "from bench.cli.program import main; main()")

@@ -6,7 +6,7 @@ import contextlib
 import io
 from pathlib import Path
 
-from bench.base.forms import load_document
+from bench.base.yaml_files import load_document
 from bench.certificate.life import Desk
 from bench.cli.app import main
 from bench.config.shipped import CERTIFICATE, shipped_folder

@@ -33,7 +33,7 @@ import pikepdf
 from rich.console import Console
 from rich.table import Table
 
-from bench.base.atomic_files import to_text
+from bench.base.files import to_text
 from bench.certificate.content import Issue
 from bench.certificate.dcc.document import document_of
 from bench.certificate.gather import certificate_of

@@ -20,7 +20,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.base.forms import load_document
+from bench.base.yaml_files import load_document
 from benchmarks.fuzz_spoiling import WEIRD, as_yaml, at, faulty_yaml, other_numbers, spoilt_bytes, spoilt_tree
 
 ROOT: Final = Path(__file__).resolve().parents[1]

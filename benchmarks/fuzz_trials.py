@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.base.visible import visible
+from bench.base.text import visible
 from benchmarks.fuzz_edges import MADE_AT_EDGES, python_trial
 from benchmarks.fuzz_inputs import MADE, ROOT, Case
 from benchmarks.fuzz_spoiling import WEIRD, spoilt_bytes, spoilt_tree, weird
@@ -238,7 +238,7 @@ def _meters() -> list[Any]:
     from sim.agilent_34401a.meter import Agilent34401A
     from sim.keithley_2000 import Keithley2000
     from sim.keysight_34461a import Keysight34461A
-    from sim.keysight_34970a.multiplexer import Keysight34970A
+    from sim.keysight_34970a import Keysight34970A
     from sim.world.clock import VirtualClock
     from sim.world.world import World, WorldSettings
 
@@ -285,7 +285,8 @@ def _answers(rng: random.Random) -> list[tuple[str, str]]:
     from bench.base.tables import Screen
     from bench.run.person import OperatorWish, ask
     from bench.run.terminal import TerminalPerson
-    from drivers.interfaces import BenchError, Prompt, PromptKind
+    from drivers.interfaces import BenchError
+    from drivers.person import Prompt, PromptKind
 
     kind = rng.choice(list(PromptKind))
     low, high = rng.choice(((None, None), (0.0, 5.0), (None, 5.0), (-10.0, None)))

@@ -39,7 +39,7 @@ from scipy import stats
 from bench.calibration.batch import calibrate_batch
 from bench.calibration.components import ASKED_P
 from bench.calibration.result import COVERAGE_FACTOR
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from tests.support.honest_runs import (
     FEW,
     MODEL,

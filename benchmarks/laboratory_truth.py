@@ -12,8 +12,13 @@ from typing import Any, Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, Floats
-from bench.model.block import COEFFICIENTS
-from bench.model.geometry import INSTALLATION_1, INSTALLATION_2, Installation, specific_force_on_platform
+from bench.model.geometry import (
+    COEFFICIENTS,
+    INSTALLATION_1,
+    INSTALLATION_2,
+    Installation,
+    specific_force_on_platform,
+)
 
 FIRST_DAY: Final = datetime(2016, 1, 4, 6, tzinfo=UTC)
 YEARS: Final = 10.0

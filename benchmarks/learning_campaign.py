@@ -32,8 +32,7 @@ from bench.history.learned import Learned, MeterRun, meter_differences
 from bench.history.learning import learn
 from bench.history.run_sums import run_fit
 from bench.model import ForwardModel
-from bench.model.block import COEFFICIENTS
-from bench.model.geometry import INSTALLATION_1, INSTALLATION_2, Installation
+from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2, Installation
 from tests.support.learning_bench import KINDS, STATED, Bench, simulate
 from tests.support.paper_bench import ARCSEC
 

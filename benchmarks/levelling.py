@@ -27,13 +27,13 @@ from bench.base.arrays import Floats
 from bench.calibration import calibrate
 from bench.config.procedure.plan import Level as LevelStep
 from bench.model import ForwardModel
-from bench.model.block import COEFFICIENTS
-from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
 from bench.readings.corrected import Seen, with_levels
 from bench.readings.table import make_readings
 from bench.run.instruments import Instruments
 from bench.run.workbench import Levelling
-from drivers.interfaces import Answer, Direction, HeadPosition, Identity, Inclination, LevelSizes, Prompt
+from drivers.interfaces import Direction, HeadPosition, Identity, Inclination, LevelSizes
+from drivers.person import Answer, Prompt
 from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 
 ZERO_RAD = 30.0 * ARCSEC

@@ -29,7 +29,7 @@ from scipy import special
 
 from bench.base.arrays import ARCSEC, Floats
 from bench.config.shipped import find_bench
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from benchmarks.certificate_desk import command
 from benchmarks.laboratory_truth import (
     FIRST_DAY,

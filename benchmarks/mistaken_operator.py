@@ -19,7 +19,8 @@ import numpy as np
 from bench.config.procedure.plan import Mount, Plan, Turn
 from bench.model import Installation
 from bench.run.expectation import orientations
-from drivers.interfaces import CHANNELS, Answer, Channel, Direction, Prompt
+from drivers.interfaces import CHANNELS, Channel, Direction
+from drivers.person import Answer, Prompt
 from sim.world.operator import OperatorSettings, ScriptedOperator, scale_text
 from sim.world.world import World
 

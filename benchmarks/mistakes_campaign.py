@@ -55,8 +55,8 @@ from bench.services.execution import carry_out, new_run
 from bench.services.source import Request, load_sources
 from benchmarks.blind_trial.score import Share
 from benchmarks.mistaken_operator import KINDS, Mistake, MistakenOperator, draw, pass_of
+from drivers.instruments.manual import ManualHead
 from drivers.interfaces import CHANNELS
-from drivers.manual.head import ManualHead
 from sim.world.clock import VirtualClock
 
 ROOT: Final = Path(__file__).parents[1]

@@ -37,7 +37,7 @@ from bench.run.person import ANSWERS, CONTROL, asked_to_json, problem_with_answe
 from bench.run.record import Record
 from benchmarks.panel_requests import CHANGES, HOST, SECRET, Actor, Request, Requests
 from drivers.clock import utc_now
-from drivers.interfaces import Prompt, PromptKind
+from drivers.person import Prompt, PromptKind
 
 RECORD = Path(__file__).parents[1] / "tests" / "data" / "records"
 MAY_CHANGE = {"holding.jsonl", "answers.jsonl", "control.jsonl", ".holding.jsonl.lock"}

@@ -17,7 +17,8 @@ from bench.run.instruments import Instruments
 from bench.run.record import Record
 from bench.run.runner import Runner
 from drivers.clock import utc_now
-from drivers.interfaces import Answer, Channel, Direction, HeadPosition, Identity, Prompt, VoltmeterSettings
+from drivers.interfaces import Channel, Direction, HeadPosition, Identity, VoltmeterSettings
+from drivers.person import Answer, Prompt
 from sim.world.clock import VirtualClock
 
 READINGS = 500

@@ -40,7 +40,7 @@ from bench.calibration.result import Calibration, Noise
 from bench.config.bench_file.stand import UncertaintySection
 from bench.history.comparison import Snapshot, compare
 from bench.model import ForwardModel
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import VERIFICATION, Readings
 from bench.services.face import load_bench
 from tests.support.paper_bench import SETTING_U_RAD

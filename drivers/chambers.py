@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from drivers.interfaces import BadReading, Identity, InstrumentRefused, LimitExceeded
-from drivers.wire.proving import ProvedSession
+from drivers.wire.visa import ProvedSession
 
 if TYPE_CHECKING:
     from drivers.clock import Clock

@@ -9,10 +9,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
 
 from drivers.angles import format_dms
-from drivers.interfaces.errors import BenchError, InstrumentRefused, LimitExceeded, WentAstray
-from drivers.interfaces.instruments import Direction, HeadPosition, Identity
+from drivers.interfaces import (
+    BenchError,
+    Direction,
+    HeadPosition,
+    Identity,
+    InstrumentRefused,
+    LimitExceeded,
+    WentAstray,
+)
 from drivers.making_safe import SEE_IT_STANDS, Attempts, why_failed
-from drivers.wire.proving import ProvedSession
+from drivers.wire.visa import ProvedSession
 
 if TYPE_CHECKING:
     from drivers.clock import Clock

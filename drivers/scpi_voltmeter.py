@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final, Literal
 
-from drivers.agilent_34401a import facts as line
+from drivers.facts import agilent_34401a as line
 from drivers.interfaces import (
     BadReading,
     Channel,

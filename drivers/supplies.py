@@ -17,7 +17,7 @@ from drivers.interfaces import (
     SupplyLimits,
 )
 from drivers.making_safe import STAYS_REMOTE, Attempts
-from drivers.wire.proving import ProvedSession
+from drivers.wire.visa import ProvedSession
 
 if TYPE_CHECKING:
     from drivers.clock import Clock

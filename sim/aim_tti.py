@@ -12,7 +12,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from drivers.aim_tti import facts
+from drivers.facts import aim_tti as facts
 from sim.supply import Outputs
 from sim.wires.session import LineEnds
 

@@ -10,7 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from drivers.interfaces import BenchError
-from sim.scpi.instrument import ScpiInstrument
+from sim.scpi import ScpiInstrument
 from sim.wires.faults import FaultKind, FaultyInstrument
 from sim.wires.prologix import GpibAdapter
 from sim.wires.server import TcpServer, TerminalServer

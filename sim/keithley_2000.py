@@ -10,18 +10,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal
 
-from drivers.keithley_2000 import facts
-from sim.agilent_34401a.converter import Accuracy, Converter, MeteredSignal, reading_text
+from drivers.facts import keithley_2000 as facts
 from sim.agilent_34401a.functions import Function, FunctionSettings
-from sim.agilent_34401a.line import MeasuringCycle
-from sim.scpi.instrument import Command, ScpiInstrument
-from sim.scpi.status import ScpiError
-from sim.scpi.values import (
+from sim.scpi import Command, ScpiInstrument
+from sim.scpi_values import (
     MAX,
     MIN,
     Boolean,
     Choice,
     Number,
+    ScpiError,
     Text,
     Value,
     next_above,
@@ -29,6 +27,7 @@ from sim.scpi.values import (
     quoted,
     within,
 )
+from sim.voltmeters import Accuracy, Converter, MeasuringCycle, MeteredSignal, reading_text
 from sim.wires.session import LineEnds
 
 if TYPE_CHECKING:

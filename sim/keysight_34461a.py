@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal
 
-from drivers.agilent_34401a.facts import IDENTITY as IDENTITY_34401A
-from drivers.keysight_34461a.facts import IDENTITY, INTERFACES, MEMORY_READINGS, MODEL, MOST_SAMPLES
+from drivers.facts.agilent_34401a import IDENTITY as IDENTITY_34401A
+from drivers.facts.keysight_34461a import IDENTITY, INTERFACES, MEMORY_READINGS, MODEL, MOST_SAMPLES
 from sim.agilent_34401a.meter import Agilent34401A
 from sim.agilent_34401a.trigger import Trigger
-from sim.scpi.instrument import Command
-from sim.scpi.values import Boolean, Choice, numbered
+from sim.scpi import Command
+from sim.scpi_values import Boolean, Choice, numbered
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
-    from sim.agilent_34401a.converter import MeteredSignal
+    from sim.voltmeters import MeteredSignal
 
 
 class TruevoltTrigger(Trigger):

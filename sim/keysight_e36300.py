@@ -8,16 +8,28 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from drivers.keysight_e36300 import facts
-from sim.scpi.instrument import Command, ScpiInstrument
-from sim.scpi.status import ScpiError
-from sim.scpi.values import DEF, MAX, MIN, Boolean, Number, OutputList, Text, listed, numbered, quoted, within
+from drivers.facts import keysight_e36300 as facts
+from sim.scpi import Command, ScpiInstrument
+from sim.scpi_values import (
+    DEF,
+    MAX,
+    MIN,
+    Boolean,
+    Number,
+    OutputList,
+    ScpiError,
+    Text,
+    listed,
+    numbered,
+    quoted,
+    within,
+)
 from sim.supply import Outputs
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sim.scpi.values import CommandParameter, Value
+    from sim.scpi_values import CommandParameter, Value
     from sim.world.power import Stage
     from sim.world.world import World
 

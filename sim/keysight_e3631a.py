@@ -8,16 +8,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from drivers.keysight_e3631a import facts
-from sim.scpi.instrument import Command, ScpiInstrument
-from sim.scpi.status import ScpiError
-from sim.scpi.values import DEF, MAX, MIN, Boolean, Choice, Number, Text, quoted, within
+from drivers.facts import keysight_e3631a as facts
+from sim.scpi import Command, ScpiInstrument
+from sim.scpi_values import DEF, MAX, MIN, Boolean, Choice, Number, ScpiError, Text, quoted, within
 from sim.supply import Outputs
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sim.scpi.values import Value
+    from sim.scpi_values import Value
     from sim.world.world import World
 
 _ERRORS: Final = {

@@ -10,7 +10,7 @@ import math
 import re
 from typing import TYPE_CHECKING, Final
 
-from drivers.leica_nivel import facts
+from drivers.facts import leica_nivel as facts
 from sim.wires.session import LineEnds
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import re
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
-from drivers.newport_esp301 import facts
+from drivers.facts import newport_esp301 as facts
 from sim.wires.session import LineEnds
 
 if TYPE_CHECKING:

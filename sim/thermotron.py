@@ -10,7 +10,7 @@ import math
 import re
 from typing import TYPE_CHECKING, Final
 
-from drivers.thermotron.facts import BUSY_S, MANUAL, STOPPED
+from drivers.facts.thermotron import BUSY_S, MANUAL, STOPPED
 
 if TYPE_CHECKING:
     from collections.abc import Callable

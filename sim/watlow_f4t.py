@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, Literal
 
-from drivers.watlow_f4t.facts import FAHRENHEIT_AT_0_C, FAHRENHEIT_PER_C
-from sim.scpi.instrument import Command, ScpiInstrument
-from sim.scpi.status import ScpiError
-from sim.scpi.values import Boolean, Choice, Number
+from drivers.facts.watlow_f4t import FAHRENHEIT_AT_0_C, FAHRENHEIT_PER_C
+from sim.scpi import Command, ScpiInstrument
+from sim.scpi_values import Boolean, Choice, Number, ScpiError
 
 if TYPE_CHECKING:
     from sim.world.world import World

@@ -10,7 +10,7 @@ import math
 import re
 from typing import TYPE_CHECKING, Final
 
-from drivers.zaber.facts import MOST_STEPS, RESOLUTION, SPEED_UNITS, checksum
+from drivers.facts.zaber import MOST_STEPS, RESOLUTION, SPEED_UNITS, checksum
 
 if TYPE_CHECKING:
     from collections.abc import Callable

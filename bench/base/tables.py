@@ -11,7 +11,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.table import Table
 
-from bench.base.visible import visible
+from bench.base.text import visible
 
 WIDTH: Final = 120
 """Characters in a line where no terminal says it; no table of ours is cut at this width."""

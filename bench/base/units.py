@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from pydantic import BeforeValidator
 
-from bench.base.visible import shortened
+from bench.base.text import shortened
 
 if TYPE_CHECKING:
     from pint import UnitRegistry

@@ -11,7 +11,7 @@ from typing import Any, Final
 from bench.calibration.estimators import GLS, find_estimator
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.run.events import sha256
 from bench.services.errors import Refused
 from bench.services.provenance import versions

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from bench.base.atomic_files import to_text, write_whole
+from bench.base.files import to_text, write_whole
 from bench.batch.job import COLUMNS, DIAGNOSE, NOT_IN_TEXT
 from bench.batch.store import PARTS, RUNS, Store
 

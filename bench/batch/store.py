@@ -14,9 +14,8 @@ from typing import Any, Final
 
 from filelock import FileLock, Timeout
 
-from bench.base.atomic_files import from_text, to_text
 from bench.base.computing import tracked
-from bench.base.files import read_regular
+from bench.base.files import from_text, read_regular, to_text
 from bench.batch.job import COLUMNS, Job, Row, arrow_schema, program
 from bench.batch.stored import CALIBRATE_FILE, DIAGNOSE_FILE, VERIFY_FILE
 from bench.run.events import EVENTS, MANIFEST, sha256

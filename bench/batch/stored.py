@@ -13,7 +13,7 @@ from bench.base.arrays import Floats
 from bench.base.files import read_json, read_regular
 from bench.batch.job import Row
 from bench.calibration.result import LACK_OF_FIT_P
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.services.calibration import CalibrationResult
 from bench.services.verification import VerificationResult
 

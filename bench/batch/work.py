@@ -9,8 +9,8 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, Final
 
-from bench.base.atomic_files import to_text, write_whole
-from bench.base.visible import visible
+from bench.base.files import to_text, write_whole
+from bench.base.text import visible
 from bench.batch.job import DIAGNOSE, REPORT, Job, Row
 from bench.batch.stored import Found, Judged, Named, Stored, changes, stored_calibration, stored_diagnosis
 from bench.config.formulas import effects_in

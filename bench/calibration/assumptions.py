@@ -17,8 +17,7 @@ from bench.calibration.observability import (
     with_angles,
 )
 from bench.calibration.result import CalibrationError
-from bench.model.block import COEFFICIENTS, Block, hidden_axes
-from bench.model.geometry import STAND_ANGLES
+from bench.model.geometry import COEFFICIENTS, STAND_ANGLES, Block, hidden_axes
 
 MATTERS: Final = 0.02
 """A coefficient is named when it takes more than this part of the largest effect of an assumption."""

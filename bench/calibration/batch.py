@@ -19,10 +19,9 @@ from bench.calibration.design import FIXED, Problem, make_problem
 from bench.calibration.known import KnownNoise, KnownStand
 from bench.calibration.noise import LEAST_REPEATS, repeat_groups, setting_limits
 from bench.calibration.result import CalibrationError, Noise
-from bench.model.block import Block, linear_columns
 from bench.model.conditions import Conditions
 from bench.model.forward import ForwardModel
-from bench.model.geometry import specific_force_on_platform
+from bench.model.geometry import Block, linear_columns, specific_force_on_platform
 from bench.stats.repeats_likelihood import LEAST_DOF, believed_sizes
 
 CHUNK: Final = 200

@@ -29,9 +29,8 @@ from bench.calibration.result import (
     Noise,
     Outlier,
 )
-from bench.model.block import Block
 from bench.model.forward import ForwardModel
-from bench.model.geometry import STAND_ANGLES
+from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import FREE, VERIFICATION, Readings
 
 ROUNDING: Final = 1e-9

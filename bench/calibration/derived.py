@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats, HasCovariance
-from bench.model.block import COEFFICIENTS, Block
+from bench.model.geometry import COEFFICIENTS, Block
 
 INVERSE: Final = (
     "Nxx", "Nxy", "Nxz", "Nyx", "Nyy", "Nyz", "Nzx", "Nzy", "Nzz", "U0x", "U0y", "U0z",

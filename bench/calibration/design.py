@@ -11,11 +11,10 @@ import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Ints
 from bench.calibration.known import KnownNoise, KnownStand
-from bench.model.block import Block
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Parameter, Stage
 from bench.model.forward import ForwardModel
-from bench.model.geometry import STAND_ANGLES
+from bench.model.geometry import STAND_ANGLES, Block
 
 FIXED = 12
 """The coefficients come first among the unknowns and have no prior."""

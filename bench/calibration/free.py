@@ -16,7 +16,7 @@ from bench.calibration.design import FIXED, FreeRows, Problem
 from bench.calibration.mistakes import refuse_still
 from bench.calibration.result import CalibrationError, Noise, Triangular
 from bench.calibration.verification import modulus_slopes
-from bench.model.block import Block
+from bench.model.geometry import Block
 
 MOST_ROUNDS: Final = 50
 STANDS_STILL_G: Final = 1e-14

@@ -30,7 +30,7 @@ from bench.calibration.noise import (
     whiten_back,
 )
 from bench.calibration.result import CalibrationError, LackOfFit, Noise, widening
-from bench.model.block import COEFFICIENTS, Block
+from bench.model.geometry import COEFFICIENTS, Block
 
 MOST_ITERATIONS: Final = 20
 STANDS_STILL: Final = 5e-3

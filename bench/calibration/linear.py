@@ -11,7 +11,7 @@ from bench.base.arrays import Floats
 from bench.calibration import gls
 from bench.calibration.design import FIXED, Problem, coefficient_columns
 from bench.calibration.estimator import Estimator
-from bench.model.block import Block
+from bench.model.geometry import Block
 
 
 def least_squares_gain(problem: Problem) -> Floats:

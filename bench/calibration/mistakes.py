@@ -13,9 +13,8 @@ from bench.base.arrays import Floats, Mask, least_squares, rms
 from bench.calibration.closed_form import NOMINAL_RAD, POINTS
 from bench.calibration.design import Problem
 from bench.calibration.result import Calibration, CalibrationError
-from bench.model.block import Block, linear_columns
-from bench.model.geometry import STAND_ANGLES, within_half_turn
-from bench.readings.cells import OVERLOAD
+from bench.model.geometry import STAND_ANGLES, Block, linear_columns, within_half_turn
+from bench.readings.columns import OVERLOAD
 from bench.readings.table import Readings
 
 OTHER_UNITS: Final = {"radians": 180.0 / np.pi, "gon": 0.9, "whole turns": 360.0}

@@ -12,9 +12,8 @@ import numpy as np
 from bench.base.arrays import ARCSEC, Floats
 from bench.calibration.design import FIXED, SYMBOLS, FreeRows, Problem, StandUnknown
 from bench.calibration.free import modulus_rows
-from bench.model.block import COEFFICIENTS, Block
 from bench.model.conditions import Conditions
-from bench.model.geometry import STAND_ANGLES
+from bench.model.geometry import COEFFICIENTS, STAND_ANGLES, Block
 
 MEMBER: Final = 0.02
 """An unknown belongs to a direction when it is more than this part of the largest in it."""

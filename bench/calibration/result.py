@@ -12,7 +12,7 @@ import numpy as np
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, HasCovariance, rms, u_of
 from bench.base.computing import CalibrationError as CalibrationError  # noqa: PLC0414 - known by this name, too
 from bench.base.numbers import finite_or_none
-from bench.model.block import COEFFICIENTS, Block
+from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.table import Readings
 from bench.stats.repeats_likelihood import LEAST_DOF
 

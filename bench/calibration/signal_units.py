@@ -15,8 +15,7 @@ import numpy as np
 from bench.base.arrays import CHANNELS, Floats, Ints, least_squares
 from bench.calibration.result import CalibrationError
 from bench.model import Block, ForwardModel
-from bench.model.block import linear_columns
-from bench.model.geometry import STAND_ANGLES
+from bench.model.geometry import STAND_ANGLES, linear_columns
 from bench.readings.table import REFERENCE, SHORTED, Readings
 
 PREFIX: Final = 3.0

@@ -27,7 +27,7 @@ from bench.calibration.conformity import (
     probability_worst_outside,
 )
 from bench.calibration.result import CalibrationError
-from bench.model.block import Block
+from bench.model.geometry import Block
 from bench.readings.table import Readings
 
 HIGHEST_CONDITION: Final = 1e8

@@ -14,7 +14,7 @@ import numpy as np
 from sqlalchemy import ColumnElement, Select, and_, case, func, select
 
 from bench.base.arrays import u_of
-from bench.base.atomic_files import write_whole
+from bench.base.files import write_whole
 from bench.catalogue.questions import condition_of
 from bench.catalogue.schema import (
     CALIBRATIONS,
@@ -28,7 +28,7 @@ from bench.catalogue.schema import (
     VERIFICATIONS,
 )
 from bench.catalogue.store import Catalogue
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.services.errors import Refused
 
 Condition = ColumnElement[bool]

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from sqlalchemy import delete, select, update
 
 from bench.base.computing import tracked
-from bench.base.visible import visible
+from bench.base.text import visible
 from bench.catalogue.folder import Found, Row, issued_in, read_folder
 from bench.catalogue.scan import Place, Seen, pool_of, scan, scan_all
 from bench.catalogue.schema import CERTIFICATES, FOLDERS, INSTRUMENTS, ISSUED, OF_A_RUN, RUNS

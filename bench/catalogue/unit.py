@@ -25,7 +25,7 @@ from bench.catalogue.schema import DUES, FOLDERS, RUNS, VERIFICATIONS
 from bench.catalogue.store import Catalogue, open_catalogue
 from bench.catalogue.values import CoefficientTable, coefficient_table
 from bench.history.drift import Due, due
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.services.errors import Refused
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from bench.history.equivalence import (
     to_standard_gravity,
     together,
 )
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import snapshots_in
 from bench.services.errors import Refused
 

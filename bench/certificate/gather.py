@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 
 from bench.base.arrays import u_of
-from bench.base.atomic_files import to_text
-from bench.base.visible import visible
+from bench.base.files import to_text
+from bench.base.text import visible
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.conformity import DecisionRule
@@ -35,7 +35,7 @@ from bench.certificate.content import (
 )
 from bench.certificate.laboratory import Laboratory, Order
 from bench.certificate.texts import Texts, texts_of
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.readings.columns import current_column, rails_of, voltage_column
 from bench.readings.csv import format_csv
 from bench.readings.table import CHAMBER_C, TEMPERATURE_SOURCE, VERIFICATION, Readings

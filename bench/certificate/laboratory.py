@@ -9,8 +9,16 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
 
-from bench.base.forms import Document, FileModel, load_document, load_validated, part, validated
-from bench.base.yaml_text import Place, unknown_word
+from bench.base.yaml_files import (
+    Document,
+    FileModel,
+    Place,
+    load_document,
+    load_validated,
+    part,
+    unknown_word,
+    validated,
+)
 from bench.certificate.texts import LANGUAGES, texts_of
 from bench.config.bench_file.stand import StatedRule
 from bench.config.devices.certificates import Day

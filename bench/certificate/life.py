@@ -11,9 +11,8 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.base.atomic_files import write_whole
-from bench.base.files import read_json, read_regular
-from bench.base.forms import Document, load_document, validated
+from bench.base.files import read_json, read_regular, write_whole
+from bench.base.yaml_files import Document, load_document, validated
 from bench.certificate.content import Before, Certificate, Issue
 from bench.certificate.gather import certificate_of, issued_at, missing
 from bench.certificate.laboratory import Laboratory, Order, Person, laboratory_of

@@ -18,8 +18,7 @@ from typing import Any, Final
 
 from filelock import FileLock, Timeout
 
-from bench.base.atomic_files import write_whole
-from bench.base.files import open_regular, read_json, read_regular
+from bench.base.files import open_regular, read_json, read_regular, write_whole
 from bench.services.errors import Refused
 
 LINES: Final = "register.jsonl"

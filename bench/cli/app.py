@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from bench.base import computing
-from bench.base.visible import bounded, visible
+from bench.base.text import bounded, visible
 from bench.cli.commands import COMMANDS
 from bench.cli.options import app
 from bench.services.errors import Refused

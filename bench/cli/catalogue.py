@@ -110,7 +110,7 @@ def ask(
     json: JsonOption = None,
 ) -> int:
     """Which runs, units, benches, instruments or certificates a question names."""
-    from bench.base.atomic_files import write_whole
+    from bench.base.files import write_whole
     from bench.catalogue.answers import answer
     from bench.catalogue.store import open_catalogue
 
@@ -157,7 +157,7 @@ def unit(
     json: JsonOption = None,
 ) -> int:
     """One unit: its coefficients over time, its runs, when it is due."""
-    from bench.base.atomic_files import write_whole
+    from bench.base.files import write_whole
     from bench.catalogue.store import open_catalogue
     from bench.catalogue.unit import unit_history
 

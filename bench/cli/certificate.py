@@ -290,7 +290,7 @@ def read(
     json: JsonOption = None,
 ) -> int:
     """Take coefficients with covariance out of a certificate; of an instrument's, print it for the bench file."""
-    from bench.base.atomic_files import to_text, write_whole
+    from bench.base.files import to_text, write_whole
     from bench.base.units import VOLTAGE, parse_quantity
     from bench.certificate.dcc.reading import coefficients_in, document_in, has_coefficients, section_of
     from bench.services.source import check_gravity
@@ -339,7 +339,7 @@ def _desk(
     schema: Path | None,
 ) -> Desk:
     """Return what certificates are issued with, all of it read and checked. Raises `Refused`, `FileMistakes`."""
-    from bench.base.forms import load_document
+    from bench.base.yaml_files import load_document
     from bench.certificate.life import Desk
     from drivers.clock import utc_now
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from bench.base.numbers import rounded, uncertainty
-from bench.base.visible import visible
+from bench.base.text import visible
 from bench.cli import printing
 
 if TYPE_CHECKING:

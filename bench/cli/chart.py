@@ -62,7 +62,7 @@ def chart(
     out = printing.console(json=json)
     print_chart(found, out)
     if page is not None:
-        from bench.base.atomic_files import write_whole
+        from bench.base.files import write_whole
         from bench.results.control_chart import ChartOfBlock, render_chart
 
         of = ChartOfBlock(
@@ -127,7 +127,7 @@ def _runs_table(chart: ControlChart) -> Table:
 
 def _coefficients_table(found: CheckBlockChart) -> Table:
     """The last run by coefficient: how far from the centre, in u, and what repeats of the baseline say of u."""
-    from bench.model.block import COEFFICIENTS
+    from bench.model.geometry import COEFFICIENTS
 
     chart = found.chart
     shewhart, ewma = chart.shewhart, chart.ewma

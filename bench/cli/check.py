@@ -109,7 +109,7 @@ def _print_times(out: Console, heading: str, times_s: Mapping[str, float], count
 
 def _coefficients_in_words(undetermined: Mapping[float | None, tuple[str, ...]]) -> Iterator[str]:
     """Say which coefficients a calibration from the plan determines; by temperature where there are several."""
-    from bench.model.block import COEFFICIENTS
+    from bench.model.geometry import COEFFICIENTS
 
     if not undetermined:
         yield "no calibration: it has no reading in an installation of known orientation"

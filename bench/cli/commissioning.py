@@ -16,7 +16,7 @@ def commission_bench(
 
     Raises `Refused` without a person or a folder, `FileMistakes`.
     """
-    from bench.base.visible import visible
+    from bench.base.text import visible
     from bench.config.bench_file.file import load_bench
     from bench.results.commissioning import VERDICTS
     from bench.run.commission.session import WISHES

@@ -118,7 +118,7 @@ def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
 
 
 def _print(result: Comparison, out: Console) -> None:
-    from bench.model.block import COEFFICIENTS
+    from bench.model.geometry import COEFFICIENTS
 
     first = result.first
     out.print(f"Against {_named(first)}: {first.unit}/g (biases {first.unit}), g = {first.g_m_s2:.6g} m/s²")
@@ -152,7 +152,7 @@ def _named(snapshot: Snapshot) -> str:
 
 
 def _changes_table(changes: Changes) -> Table:
-    from bench.model.block import COEFFICIENTS
+    from bench.model.geometry import COEFFICIENTS
 
     table = printing.table("coefficient", ">difference", ">U (k=2)", ">En", ">p, all looks", "")
     rows = zip(
@@ -178,7 +178,7 @@ def _changes_table(changes: Changes) -> Table:
 
 
 def _drift_table(drift: Drift) -> Table:
-    from bench.model.block import COEFFICIENTS
+    from bench.model.geometry import COEFFICIENTS
 
     table = printing.table("coefficient", ">per year", ">U (k=2)", ">p, all looks", "")
     rows = zip(COEFFICIENTS, drift.per_year, drift.u, drift.p_all_looks, drift.shown, strict=True)
@@ -191,7 +191,7 @@ def _drift_table(drift: Drift) -> Table:
 
 
 def _write(folder: Path, result: Comparison, written: dict[str, Any], out: Console) -> None:
-    from bench.base.atomic_files import to_text, write_whole
+    from bench.base.files import to_text, write_whole
     from bench.results.figures import history_figure
 
     folder.mkdir(parents=True, exist_ok=True)

@@ -144,7 +144,7 @@ def _verified(source: Source, model: TemperatureModel) -> list[tuple[float, Veri
 def _write(
     source: Source, model: TemperatureModel, table: CompensationTable, result: dict[str, Any]
 ) -> dict[str, Path]:
-    from bench.base.atomic_files import to_text
+    from bench.base.files import to_text
     from bench.calibration.temperature.table import c_header, table_csv
 
     unit = source.bench.unit_under_test
@@ -185,7 +185,7 @@ def _coefficient_table(model: TemperatureModel) -> Table:
     """Each coefficient at the reference, its slope there, and how far it goes over the range."""
     import numpy as np
 
-    from bench.model.block import COEFFICIENTS
+    from bench.model.geometry import COEFFICIENTS
 
     table = printing.table(
         "coefficient", ">at the reference", ">u", ">per K there", ">u", ">degree", ">over the range", ""
@@ -209,7 +209,7 @@ def _coefficient_table(model: TemperatureModel) -> Table:
 
 
 def _print_hysteresis(model: TemperatureModel, out: Console) -> None:
-    from bench.model.block import COEFFICIENTS
+    from bench.model.geometry import COEFFICIENTS
 
     hysteresis = model.hysteresis
     if hysteresis is None:

@@ -235,7 +235,7 @@ def examined(body: Body, *, accept_first: bool = False, report: bool = True) -> 
 
 def _written_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings) -> Path | None:
     """Write the readings with mistakes put right; None where there was none or it cannot be written."""
-    from bench.base.atomic_files import write_whole
+    from bench.base.files import write_whole
 
     files = body.copy_files(mistakes, corrected)
     try:
@@ -250,7 +250,7 @@ def _written_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings) 
 
 def _written_model(body: Body, full: FullDiagnosis) -> Path | None:
     """Write the model with what was found; None where it cannot be written or nothing was added."""
-    from bench.base.forms import FileMistakes
+    from bench.base.yaml_files import FileMistakes
     from bench.config.model_file import load_model, write_model_file
     from bench.results.diagnosis.words import evidence_in_words
 

@@ -20,7 +20,7 @@ def export(
     runs: RunsOption = RUNS,
 ) -> int:
     """Write the readings of a run as a readings file."""
-    from bench.base.atomic_files import write_whole
+    from bench.base.files import write_whole
     from bench.readings.csv import format_csv
     from bench.services.bench_selection import SUFFIX, is_told
     from bench.services.source import Request, load_sources

@@ -120,7 +120,7 @@ def prior(
     if prior_out is not None:
         import yaml
 
-        from bench.base.atomic_files import write_whole
+        from bench.base.files import write_whole
 
         write_whole(prior_out, yaml.safe_dump(result, sort_keys=False, allow_unicode=True, width=1000))
         printing.written("prior", prior_out, on)
@@ -232,7 +232,7 @@ def _date(text: str) -> Any:
 
 
 def _write_compared(folder: Path, found: Compared, result: dict[str, Any], on: Console) -> None:
-    from bench.base.atomic_files import to_text, write_whole
+    from bench.base.files import to_text, write_whole
     from bench.results.figures import equivalence_figure
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -246,7 +246,7 @@ def _write_compared(folder: Path, found: Compared, result: dict[str, Any], on: C
 
 
 def _expected_json(at: str, value: Any, u: Any) -> dict[str, Any]:
-    from bench.model.block import COEFFICIENTS
+    from bench.model.geometry import COEFFICIENTS
 
     rows = zip(COEFFICIENTS, value.tolist(), u.tolist(), strict=True)
     return {"at": at, "coefficients": {name: {"value": v, "u": own} for name, v, own in rows}}

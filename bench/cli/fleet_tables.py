@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from bench.base.arrays import u_of
 from bench.base.numbers import MINUS, fixed, places, quantity
 from bench.cli import printing
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 
 if TYPE_CHECKING:
     from rich.console import Console

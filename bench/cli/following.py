@@ -17,7 +17,8 @@ from bench.run.person import YES, ask
 from bench.run.terminal import TerminalPerson
 from bench.services.each import done
 from bench.services.source import Request
-from drivers.interfaces import NoAnswer, Prompt, PromptKind
+from drivers.interfaces import NoAnswer
+from drivers.person import Prompt, PromptKind
 
 
 def follow(run: Run, carry_out: Callable[[str, str], int]) -> int:

@@ -78,7 +78,7 @@ def _models(result: FreeDiagnosisResult, *, accept_first: bool) -> Iterator[Path
 
 
 def _written(result: FreeDiagnosisResult, first: Path, effects: tuple[AppliedEffect, ...]) -> Path | None:
-    from bench.base.forms import FileMistakes
+    from bench.base.yaml_files import FileMistakes
     from bench.config.model_file import write_model_file
 
     for path in unused(first):

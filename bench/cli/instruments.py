@@ -76,7 +76,7 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
     from bench.services.bench_selection import bench_path
     from bench.services.instruments import look_at
     from bench.services.traceability import remarks
-    from drivers.wire.log import logged_wire
+    from drivers.wire.replay import logged_wire
 
     file = load_bench(bench_path(_named(bench)))
     with logged_wire(wire_log) as wire, Interrupts() as interrupts:
@@ -126,7 +126,7 @@ def _show(rows: Sequence[InstrumentLook]) -> None:
 
 def _offers(target: str | None) -> int:
     """List what the interfaces offer; address no instrument."""
-    from drivers.wire.discovery import discover
+    from drivers.wire.resources import discover
 
     offer = discover()
     printing.write_json([asdict(offer)], target)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.base.computing import quiet
-from bench.base.visible import bounded, visible
+from bench.base.text import bounded, visible
 from bench.services.errors import Refused
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def check_target(target: str | None) -> None:
 
 def write_json(results: list[dict[str, Any]], target: str | None) -> None:
     """Write one result, or a list of several in the order of the sources, to a file or standard output."""
-    from bench.base.atomic_files import to_text, write_whole
+    from bench.base.files import to_text, write_whole
 
     if target is None:
         return
@@ -102,7 +102,7 @@ def failed(results: Sequence[object]) -> bool:
 
 def write_beside(path: Path, text: str | bytes, *, asked: bool) -> bool:
     """Write a derived file; say so and go on where the place is not writable, unless it was asked for."""
-    from bench.base.atomic_files import write_whole
+    from bench.base.files import write_whole
 
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -122,7 +122,7 @@ def write_result(
 
     A result of other options than the run's own (`what_if`) is written beside the run's own, never over it.
     """
-    from bench.base.atomic_files import to_text
+    from bench.base.files import to_text
 
     file = source.output(command, ".json", what_if=what_if)
     return file if write_beside(file, to_text(result), asked=source.request.out is not None) else None
@@ -236,7 +236,7 @@ def report(
     result: CalibrationResult, out: Console, asked: Asked | None = None
 ) -> tuple[VerificationResult | None, Path]:
     """Write the page of a calibration; return the verification that is in it, and the file. Raises `OSError`."""
-    from bench.base.atomic_files import write_whole
+    from bench.base.files import write_whole
     from bench.services.documents import report_page
     from bench.services.verification import NOTHING_ASKED
 

@@ -45,7 +45,7 @@ def resume(
     from bench.services.execution import carry_out
     from bench.services.heard import heard_in
     from bench.services.left_runs import refuse_missing_devices, taken_up, unfinished_run
-    from drivers.wire.log import logged_wire
+    from drivers.wire.replay import logged_wire
 
     printing.check_target(json)
     away = is_away(answers, panel=panel)
@@ -73,7 +73,7 @@ def resume(
 def _accept_changes(run: Run, asker: Asker | None, out: Console) -> None:
     """Say what was changed since the run began; on a real bench the person must agree to go on without it."""
     from bench.run.person import agree
-    from drivers.interfaces import Prompt, PromptKind
+    from drivers.person import Prompt, PromptKind
 
     changes = _changed_since(run)
     for change in changes:

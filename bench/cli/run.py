@@ -107,7 +107,7 @@ def run(
         from bench.run.person import ControlFile
         from bench.services.execution import carry_out, new_run
         from bench.services.heard import heard_in
-        from drivers.wire.log import logged_wire
+        from drivers.wire.replay import logged_wire
 
         new = new_run(
             procedure,
@@ -162,7 +162,7 @@ def charted(run: Run, out: Console) -> int:
     unit = run.manifest.get("unit_under_test")
     if bench.check_block is None or unit is None:
         return 0
-    from bench.base.atomic_files import to_text
+    from bench.base.files import to_text
     from bench.cli.chart import print_chart
     from bench.services.check_block import chart_of, check_block_runs, is_check_block
 
@@ -210,7 +210,7 @@ def conclude(run: Run, target: str | None = None) -> int:
 
     A procedure need not be a calibration: where its readings do not make one, that is said and no mistake.
     """
-    from bench.base.atomic_files import to_text, write_whole
+    from bench.base.files import to_text, write_whole
     from bench.run.folder import RESULTS
     from bench.services.source import Request, load_sources
 
@@ -229,7 +229,7 @@ def conclude(run: Run, target: str | None = None) -> int:
 
 def _draw(run: Run, source: Source, target: str | None) -> int:
     """Draw the results from a finished run and write them into its folder. Raises `OSError`."""
-    from bench.base.atomic_files import to_text, write_whole
+    from bench.base.files import to_text, write_whole
     from bench.calibration import CalibrationError
     from bench.services.calibration import calibration_of
     from bench.services.diagnosis import told_in_words

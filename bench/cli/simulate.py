@@ -154,7 +154,7 @@ def _held(host: str, port: int | None) -> Iterator[None]:
     """Hold the first of the ports that were chosen: who would serve there as well is told who does."""
     from bench.base.files import cache_folder
     from bench.run.assembly.served import HELD
-    from drivers.wire.holding import Holding
+    from drivers.wire.resources import Holding
 
     if not port:
         yield

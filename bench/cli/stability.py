@@ -241,7 +241,7 @@ def _stem(record: str, runs: Path, out: Path | None) -> Path:
 def _write(
     stem: Path, record: StaticRecord, found: _Findings, result: dict[str, Any], *, asked: bool
 ) -> dict[str, Path]:
-    from bench.base.atomic_files import to_text
+    from bench.base.files import to_text
     from bench.results.figures import allan_figure
 
     longest = max(average.tau_s for average in found.averages)

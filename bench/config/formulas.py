@@ -11,12 +11,19 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Field
 
-from bench.base.forms import FileMistake, FileMistakes, FileModel, load_document, part, validated
 from bench.base.units import Dimension, plain_unit, unit_of
-from bench.base.yaml_text import Place
+from bench.base.yaml_files import FileMistake, FileMistakes, FileModel, Place, load_document, part, validated
 from bench.model.effects import CATALOGUE, Effect, Parameter, Stage, Subsystem
-from bench.model.effects.expression import LAGGED, ExpressionError, interpret, known_functions, names_in
-from bench.model.effects.formula import SUBSYSTEM_OF, FormulaEffect, variables_of
+from bench.model.effects.formula import (
+    LAGGED,
+    SUBSYSTEM_OF,
+    ExpressionError,
+    FormulaEffect,
+    interpret,
+    known_functions,
+    names_in,
+    variables_of,
+)
 
 _OF_VARIABLE: Final[Mapping[str, str]] = {
     "time": "s", "temperature": "K", "U": "V", "Ux": "V", "Uy": "V", "Uz": "V",

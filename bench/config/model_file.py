@@ -14,15 +14,21 @@ import yaml
 from pydantic import Field
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.base.forms import FileMistake, FileMistakes, FileModel, load_validated, part
 from bench.base.units import QuantityKind, parse_quantity
-from bench.base.yaml_text import Place, unknown_word
+from bench.base.yaml_files import (
+    FileMistake,
+    FileMistakes,
+    FileModel,
+    Place,
+    load_validated,
+    part,
+    unknown_word,
+)
 from bench.config.formulas import FormulaEntry, effects_as_written, formula_mistakes, written_formulas
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter
-from bench.model.effects.base import PASS, pass_label
+from bench.model.effects.base import PART, PASS, InPart, in_part, pass_label
 from bench.model.effects.formula import FormulaEffect
-from bench.model.effects.in_part import PART, InPart, in_part
-from drivers.interfaces.instruments import Channel
+from drivers.interfaces import Channel
 
 FORMAT: Final = "1"
 """Version of the format; a reader refuses any other."""

@@ -9,9 +9,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from bench.base.forms import FileModel, load_validated, part
-from bench.base.yaml_text import Place
-from bench.model.block import COEFFICIENTS
+from bench.base.yaml_files import FileModel, Place, load_validated, part
+from bench.model.geometry import COEFFICIENTS
 
 Row = Annotated[tuple[float, ...], Field(min_length=len(COEFFICIENTS), max_length=len(COEFFICIENTS))]
 

@@ -9,7 +9,7 @@ import difflib
 from pathlib import Path
 from typing import Final
 
-from bench.base.forms import FileMistake, FileMistakes
+from bench.base.yaml_files import FileMistake, FileMistakes
 
 PROCEDURES: Final = "procedures"
 CONFIG: Final = "config"

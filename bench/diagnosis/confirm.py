@@ -28,7 +28,7 @@ from bench.diagnosis.result import Diagnosis, EffectValue
 from bench.diagnosis.single_run_search import in_the_noise_of
 from bench.diagnosis.threshold import ThresholdCache
 from bench.model import AppliedEffect, ForwardModel
-from bench.model.effects.in_part import InPart
+from bench.model.effects.base import InPart
 from bench.readings.table import Readings
 
 Word = Literal["confirmed", "changed", "gone"]

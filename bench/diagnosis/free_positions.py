@@ -32,9 +32,9 @@ from bench.diagnosis.naming import Found, Naming, name
 from bench.diagnosis.posterior import NoiseSize, applied_of
 from bench.diagnosis.result import UNNAMED_WORDS, EffectValue
 from bench.diagnosis.threshold import Threshold, fit_tail, total_evidence
-from bench.model.block import Block
 from bench.model.effects import CATALOGUE, AppliedEffect
 from bench.model.forward import ForwardModel
+from bench.model.geometry import Block
 from bench.readings.table import FREE, Readings
 
 FOLDS: Final = 5

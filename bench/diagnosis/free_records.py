@@ -15,11 +15,10 @@ from bench.calibration.design import UPPER, EffectUnknown, make_problem
 from bench.calibration.free import first_guess_free
 from bench.calibration.result import CalibrationError
 from bench.calibration.verification import modulus_slopes
-from bench.model.block import Block
 from bench.model.effects.base import AppliedEffect
 from bench.model.forward import ForwardModel
-from bench.readings.joined import JoinedPart, together
-from bench.readings.table import Readings
+from bench.model.geometry import Block
+from bench.readings.table import JoinedPart, Readings, together
 
 SAME_TIME_S: Final = 1.0
 """Positions of two tables at the same times, within this, are of sensors side by side."""

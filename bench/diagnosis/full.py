@@ -23,8 +23,8 @@ from bench.diagnosis.posterior import posterior
 from bench.diagnosis.result import Diagnosis, mistake_to_dict
 from bench.diagnosis.show import Shown, contradicted, show
 from bench.diagnosis.threshold import ThresholdCache
-from bench.model.block import COEFFICIENTS
 from bench.model.forward import ForwardModel
+from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import Readings
 
 LISTED: Final = 8

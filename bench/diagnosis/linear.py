@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from bench.base.arrays import Floats, Ints
 from bench.calibration.calibrate import first_guess
 from bench.calibration.design import FIXED, STEP_RAD, Problem, coefficient_columns, make_problem
-from bench.model.block import Block
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Stage
 from bench.model.effects.base import Seen
 from bench.model.forward import ForwardModel
-from bench.model.geometry import STAND_ANGLES, Installation, specific_force_on_platform
+from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_force_on_platform
 from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
 
 CONTRADICTS_RAD: Final = float(np.radians(0.5))

@@ -32,13 +32,12 @@ from bench.diagnosis.candidates import (
 )
 from bench.diagnosis.linear import LinearSystem, Rows, make_linear
 from bench.diagnosis.mistakes.search import MistakeSearch, find_mistakes
-from bench.model.block import Block
 from bench.model.conditions import Conditions, Mounting
 from bench.model.effects import AppliedEffect, Effect, Stage
 from bench.model.effects.base import Subsystem
 from bench.model.forward import ForwardModel
-from bench.readings.joined import stacked
-from bench.readings.table import VERIFICATION, Readings
+from bench.model.geometry import Block
+from bench.readings.table import VERIFICATION, Readings, stacked
 
 OTHER_SCALE: Final = 1e-3
 OTHER_CROSS: Final = 3e-3

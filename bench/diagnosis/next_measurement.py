@@ -23,13 +23,20 @@ from bench.diagnosis.candidates import in_volts
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.result import Diagnosis
 from bench.diagnosis.visibility import ReadingDesign, form_of, forms_everywhere, forms_of
-from bench.model.block import Block
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE
 from bench.model.forward import ForwardModel
-from bench.model.geometry import STAND_ANGLES
-from bench.readings.joined import JoinedPart, together
-from bench.readings.table import REFERENCE, REFERENCE_V, SHORTED, UNORIENTED, Readings, make_readings
+from bench.model.geometry import STAND_ANGLES, Block
+from bench.readings.table import (
+    REFERENCE,
+    REFERENCE_V,
+    SHORTED,
+    UNORIENTED,
+    JoinedPart,
+    Readings,
+    make_readings,
+    together,
+)
 
 
 def planned_readings(

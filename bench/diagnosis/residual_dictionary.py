@@ -14,8 +14,7 @@ from bench.diagnosis.linear import LinearSystem
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Parameter, Stage
 from bench.model.effects.base import Seen
-from bench.model.effects.expression import names_in
-from bench.model.effects.formula import SUBSYSTEM_OF, FormulaEffect
+from bench.model.effects.formula import SUBSYSTEM_OF, FormulaEffect, names_in
 from bench.model.effects.voltmeter import LOW_RANGE_V
 
 SIZE_NAMES: Final = ("A", "B")

@@ -37,8 +37,7 @@ from bench.diagnosis.weighing import WeighedDown
 from bench.diagnosis.where import Place
 from bench.model.conditions import REFERENCE_C, REMOUNT_S, SETTING_S
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect
-from bench.model.effects.expression import names_in
-from bench.model.effects.formula import FormulaEffect
+from bench.model.effects.formula import FormulaEffect, names_in
 
 
 @dataclass(frozen=True)

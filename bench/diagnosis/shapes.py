@@ -16,7 +16,7 @@ from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import Naming, Scored
 from bench.diagnosis.posterior import NoiseSize, Posterior, applied_of
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect
-from bench.model.effects.in_part import InPart, in_part
+from bench.model.effects.base import InPart, in_part
 from bench.model.effects.voltmeter import NORMAL_V
 
 PART: Final = 0.5

@@ -15,7 +15,7 @@ from bench.calibration.calibrate import first_guess, usable_rows
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.calibration.noise import repeat_groups, whiten
 from bench.model import STAND_ANGLES, AppliedEffect, Block, ForwardModel
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import FREE, VERIFICATION, Readings
 
 SEED: Final = 1

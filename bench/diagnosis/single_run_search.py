@@ -22,8 +22,8 @@ from bench.diagnosis.posterior import applied_of, fit_found, noise_size
 from bench.diagnosis.repeats import Repeats, grid_with_rounding, noise_of_repeats, with_rounding
 from bench.diagnosis.threshold import Threshold, ThresholdCache
 from bench.diagnosis.weighing import WeighedDown, sizes_left, weigh_down
-from bench.model.block import Block
 from bench.model.forward import ForwardModel
+from bench.model.geometry import Block
 from bench.readings.table import Readings
 
 CLEAR: Final = 6.0

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.base.atomic_files import to_text
-from bench.base.c_source import comment, double
-from bench.base.visible import visible
+from bench.base.files import to_text
+from bench.base.text import comment, double, visible
 from bench.calibration.derived import INVERSE, Derived
 from bench.exchange.result import CONVENTION, BlockResult, Row
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 
 if TYPE_CHECKING:
     from openpyxl.worksheet.worksheet import Worksheet

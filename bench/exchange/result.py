@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from bench.base.arrays import Floats, u_of
-from bench.base.c_source import one_line
+from bench.base.text import one_line
 from bench.calibration.derived import Derived, inverse, misalignments
-from bench.model.block import COEFFICIENTS, Block
+from bench.model.geometry import COEFFICIENTS, Block
 
 SIMULATED = "SIMULATED: found on simulated instruments, of no real block"
 CONVENTION = "K_ij = (-1)^n K_ii alpha_ji, n = 2 where j follows i in x -> y -> z -> x, else 1"

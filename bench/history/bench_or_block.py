@@ -12,7 +12,7 @@ from bench.base.arrays import Floats, Ints, Labels, rms, u_of
 from bench.base.numbers import finite_or_none
 from bench.calibration.result import CalibrationError
 from bench.history.equivalence import Measured, coded
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.stats import holm
 from bench.stats.crossed_effects import (
     BENCH,

@@ -15,7 +15,7 @@ from bench.base.numbers import finite_or_none
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
 from bench.history.equivalence import STANDARD_GRAVITY, Measured, coded
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.stats.crossed_effects import Crossing
 
 BENCH, SCATTER, RATE, WALK = 0, 1, 2, 3

@@ -15,7 +15,7 @@ from bench.base.arrays import Floats, Ints, Mask, u_of
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.known import METERS_DRIFT, drifted
 from bench.calibration.result import CalibrationError
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.stats import holm
 
 CHANGED_P: Final = 0.05

@@ -13,7 +13,7 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.base.numbers import MINUS, finite_or_none, probability
 from bench.calibration.result import CalibrationError
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.stats.control_charts import (
     ALIKE_P,
     Centre,

@@ -16,7 +16,7 @@ from bench.base.numbers import finite_or_none
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
 from bench.history.comparison import LEAST_FOR_DRIFT, LEAST_SPAN, SECONDS_PER_YEAR
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 
 Dates = NDArray[np.datetime64]
 

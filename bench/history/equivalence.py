@@ -15,7 +15,7 @@ from bench.base.arrays import Floats, Ints, Labels, Mask, u_of
 from bench.base.numbers import finite_or_none
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.stats import holm
 
 STANDARD_GRAVITY: Final = 9.80665

@@ -17,7 +17,7 @@ from scipy import special
 from bench.base.arrays import Floats, Ints, u_of
 from bench.calibration.result import CalibrationError
 from bench.history.equivalence import STANDARD_GRAVITY, Measured, coded
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 
 LEAST_UNITS: Final = 6
 """From fewer units a covariance of twelve coefficients is not worth the name."""

@@ -12,9 +12,9 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.base.numbers import read_number
-from bench.base.visible import shortened
+from bench.base.text import shortened
 from bench.calibration.result import CalibrationError
-from bench.readings.cells import OVERLOAD
+from bench.readings.columns import OVERLOAD
 from bench.readings.csv import LISTED_AT_ONCE, ReadingsError, split_table
 from bench.readings.table import UNITS
 from bench.stats.allan import AllanCurve, NoiseTerms

@@ -1,11 +1,9 @@
 """The forward model: geometry of the stand, the block, effects. One definition serves simulation and fit."""
 
-from bench.model.block import Block
 from bench.model.conditions import REFERENCE_C, Conditions, Mounting
-from bench.model.distribution import Distribution
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter, Stage, Subsystem
 from bench.model.forward import ForwardModel
-from bench.model.geometry import STAND_ANGLES, Installation, stand_errors
+from bench.model.geometry import STAND_ANGLES, Block, Distribution, Installation, stand_errors
 
 __all__ = [
     "CATALOGUE",

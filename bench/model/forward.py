@@ -8,10 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.model.block import Block
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Seen, Stage
-from bench.model.geometry import Installation, specific_force_on_platform
+from bench.model.geometry import Block, Installation, specific_force_on_platform
 
 _UNKNOWN_TURN = np.full((3, 3), np.nan)
 

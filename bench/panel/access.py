@@ -21,9 +21,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from bench.base.atomic_files import from_text, to_text, write_whole
-from bench.base.files import read_regular
-from bench.base.visible import visible
+from bench.base.files import from_text, read_regular, to_text, write_whole
+from bench.base.text import visible
 from bench.panel.settings import Settings
 from bench.run.events import RecordError
 from drivers.clock import utc_now

@@ -8,7 +8,7 @@ from urllib.parse import parse_qsl
 
 from starlette.requests import ClientDisconnect, Request
 
-from bench.base.atomic_files import from_text
+from bench.base.files import from_text
 from bench.panel.access import Person, Refusal, Role
 from bench.panel.connections import LOG
 from bench.panel.panel import Panel

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from filelock import FileLock
 
-from bench.base.visible import in_json
+from bench.base.text import in_json
 from bench.panel.access import Person, Refusal, Role
 from drivers.clock import utc_now
 

@@ -16,9 +16,8 @@ from typing import Any, Final
 
 from filelock import FileLock, Timeout
 
-from bench.base.atomic_files import from_text, to_text, write_whole
-from bench.base.files import open_regular, read_regular
-from bench.base.visible import visible
+from bench.base.files import from_text, open_regular, read_regular, to_text, write_whole
+from bench.base.text import visible
 from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.panel.access import Refusal, private_folder
 from bench.panel.folder import RunsFolder

@@ -11,7 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from bench.base.numbers import typeset
-from bench.base.visible import visible
+from bench.base.text import visible
 from bench.panel.access import Refusal
 from bench.run.events import sha256
 

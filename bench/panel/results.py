@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from bench.base.atomic_files import from_text
+from bench.base.files import from_text
 from bench.base.numbers import rounded, scale_for, uncertainty
 from bench.panel.access import Refusal
 from bench.panel.folder import read_page

@@ -13,8 +13,7 @@ from urllib.parse import quote, urlsplit
 
 from filelock import FileLock, Timeout
 
-from bench.base.atomic_files import from_text, to_text, write_whole
-from bench.base.files import read_regular
+from bench.base.files import from_text, read_regular, to_text, write_whole
 from bench.panel.access import Access, Refusal, private_folder
 from bench.panel.launching import Started, start, wait_until
 from bench.panel.settings import PORT, STATE, Settings, is_loopback

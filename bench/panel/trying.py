@@ -11,9 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bench.base.atomic_files import from_text
-from bench.base.files import read_regular
-from bench.base.forms import FileMistakes
+from bench.base.files import from_text, read_regular
+from bench.base.yaml_files import FileMistakes
 from bench.panel.launching import BENCH, Found, Wanted, WishFolder, last_words
 from bench.services.errors import Refused
 from bench.services.until import look_ahead

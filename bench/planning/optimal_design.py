@@ -14,7 +14,7 @@ from bench.calibration.budget.acceleration import directions
 from bench.calibration.design import FIXED
 from bench.calibration.result import CalibrationError, Noise
 from bench.calibration.verification import modulus_slopes
-from bench.model.block import COEFFICIENTS, Block
+from bench.model.geometry import COEFFICIENTS, Block
 from bench.planning.settings import Setting
 
 DIRECTIONS: Final = 128

@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.base.arrays import HOUR, Floats, Ints
 from bench.base.computing import tracked
-from bench.base.words import APPROACH, exact_degrees, exact_duration
+from bench.base.text import APPROACH, exact_degrees, exact_duration
 from bench.calibration.design import FIXED
 from bench.calibration.noise import LEAST_REPEATS
 from bench.calibration.result import CalibrationError

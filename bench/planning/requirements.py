@@ -17,7 +17,7 @@ from bench.calibration.budget.coefficients import Budget, make_budget
 from bench.calibration.budget.error_source import ErrorSource
 from bench.calibration.budget.setup import Setup
 from bench.calibration.result import CalibrationError
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 
 Target = Callable[[Budget], Floats]
 """Variances (points, sources) of what is required, in the order of the budget's contributions.

@@ -17,10 +17,9 @@ from bench.calibration.observability import (
     with_angles,
 )
 from bench.config.procedure.plan import Plan, Read, Turn, Wait
-from bench.model.block import Block
 from bench.model.conditions import Conditions, Mounting
 from bench.model.forward import ForwardModel
-from bench.model.geometry import Installation
+from bench.model.geometry import Block, Installation
 from bench.readings.table import UNORIENTED, VERIFICATION
 
 

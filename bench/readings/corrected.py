@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, HOUR, Floats
-from bench.model.distribution import Distribution
+from bench.model.geometry import Distribution
 from bench.readings.columns import ANGLES, DRIFTS
 from bench.readings.table import Readings
 

@@ -5,20 +5,29 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bench.base.arrays import Floats
+from bench.base.arrays import CHANNELS, Floats
 from bench.base.files import read_given
-from bench.base.visible import shortened
-from bench.base.words import repeated
-from bench.readings.cells import BadCell, angle, as_cell, direction, integer, number, of_cell, temperature
-from bench.readings.columns import LEVEL_COLUMNS, is_of_a_rail, wrong_level_cell
-from bench.readings.doubtful import doubtful
+from bench.base.text import repeated, shortened
+from bench.readings.columns import (
+    LEVEL_COLUMNS,
+    BadCell,
+    angle,
+    as_cell,
+    direction,
+    integer,
+    is_of_a_rail,
+    number,
+    of_cell,
+    temperature,
+    wrong_level_cell,
+)
 from bench.readings.table import (
     CHAMBER_C,
     FREE,
@@ -355,3 +364,36 @@ def _signal(value: float) -> str:
     """Return `value` as text, without what the sum of a mean has rounded; empty for not given."""
     short = float(f"{value:.12g}")
     return _text(short if abs(short - value) <= ROUNDED * math.ulp(value) else value)
+
+
+# --- doubts about a table ---------------------------------------------------------------------------
+
+
+def doubtful(readings: Readings, lines: Sequence[int]) -> tuple[str, ...]:
+    """Return a sentence for each doubt about a table; `lines` (n,) are the lines of its rows in the file."""
+    return (*_time(readings, lines), *_scatter(readings, lines))
+
+
+def _time(readings: Readings, lines: Sequence[int]) -> list[str]:
+    known = np.flatnonzero(np.isfinite(readings.time_s))
+    back = known[1:][np.diff(readings.time_s[known]) < 0.0]
+    if not len(back):
+        return []
+    where = f"line {lines[back[0]]}" + (f" and {len(back) - 1} more" if len(back) > 1 else "")
+    return [
+        f"time_s runs backwards ({where}): rows stand in the order of measurement; is the file sorted anew?"
+    ]
+
+
+def _scatter(readings: Readings, lines: Sequence[int]) -> list[str]:
+    """Doubt a scatter within one reading that exceeds all that the readings differ by."""
+    told = []
+    for i, axis in enumerate(CHANNELS):
+        sd, span = readings.signal_sd[:, i], float(np.ptp(readings.signal[:, i]))
+        if len(readings) > 2 and np.nanmax(np.append(sd, 0.0)) > span > 0.0:
+            worst = int(np.nanargmax(sd))
+            told.append(
+                f"the standard deviation of u{axis} in line {lines[worst]}, {sd[worst]:.3g} {readings.unit}, "
+                f"is more than all readings of it differ by, {span:.3g} {readings.unit}: check its unit"
+            )
+    return told

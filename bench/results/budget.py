@@ -22,7 +22,7 @@ from bench.calibration.budget.coefficients import Budget
 from bench.calibration.budget.propagation import coverage_factor
 from bench.calibration.conformity import DecisionRule
 from bench.calibration.verification import rule_in_words
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.results import tables
 from bench.results.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, drawn, svg_figure, symbol
 from bench.results.tables import Row

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from bench.base.arrays import Floats
 from bench.base.numbers import MINUS, fixed, probability, scale_for, two_digits
 from bench.history.control_chart import ControlChart
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.results.plots import BLUE, GREY, VERMILION, svg_figure, symbol
 from bench.results.template import page
 

@@ -12,7 +12,7 @@ from bench.base.numbers import scale_for
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.history.comparison import Comparison
 from bench.history.equivalence import Equivalence
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.results.plots import BLUE, GREEN, GREY, VERMILION, svg_file, symbol
 from bench.stats.allan import AllanCurve, NoiseTerms
 

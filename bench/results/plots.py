@@ -18,11 +18,11 @@ import numpy as np
 
 from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Mask
 from bench.base.numbers import MINUS, Scale, scale_for
-from bench.base.words import APPROACH
+from bench.base.text import APPROACH
 from bench.calibration import Calibration, Verification
 from bench.calibration.budget.propagation import correlation_of
-from bench.model.block import COEFFICIENTS
 from bench.model.conditions import Mounting
+from bench.model.geometry import COEFFICIENTS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,8 +15,8 @@ from bench.calibration import Calibration, Estimate, Noise, Verification
 from bench.calibration.budget.propagation import correlation_of
 from bench.calibration.design import SYMBOLS
 from bench.calibration.verification import optional_probability
-from bench.model.block import COEFFICIENTS
 from bench.model.effects import CATALOGUE
+from bench.model.geometry import COEFFICIENTS
 from bench.results.plots import residual_scale
 
 MEANINGS: Final = {

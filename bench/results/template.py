@@ -8,7 +8,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from bench.base.numbers import typeset
-from bench.base.visible import visible
+from bench.base.text import visible
 
 
 def page(name: str, **content: Any) -> str:

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from bench.base.arrays import Floats
 from bench.base.numbers import fixed, places, scale_for, two_digits
 from bench.calibration.conformity import COVERAGE_FACTOR
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.results.plots import BLUE, GREY, svg_figure, svg_file, symbol
 from bench.results.template import page
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.model.block import Block
 from bench.model.conditions import Mounting
 from bench.model.forward import ForwardModel
+from bench.model.geometry import Block
 from bench.run.expectation import (
     ABSENT,
     AS_IT_IS,

@@ -16,8 +16,8 @@ from scipy.special import chdtri
 from bench.base.arrays import CHANNELS, Floats
 from bench.config.bench_file.file import BenchFile
 from bench.config.procedure.plan import Plan, Read
-from bench.model.block import Block
 from bench.model.forward import ForwardModel
+from bench.model.geometry import Block
 from bench.readings.reading import Reading, readings_of
 from bench.readings.table import UNORIENTED
 from bench.run.causes import Confidence, Inquiry, likeliest

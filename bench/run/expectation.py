@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from bench.base.arrays import CHANNELS, Floats, Mask
-from bench.model.block import Block
 from bench.model.conditions import Conditions, Mounting
 from bench.model.forward import ForwardModel
-from bench.model.geometry import STAND_ANGLES, Installation
+from bench.model.geometry import STAND_ANGLES, Block, Installation
 from bench.readings.mistaken import EXCHANGED, REVERSED, SLIPS_RAD, Wiring, reflected_rad
 from drivers.angles import format_dms, wrapped_rad
 

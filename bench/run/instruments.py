@@ -17,14 +17,12 @@ from drivers.interfaces import (
     Identity,
     Instrument,
     NotConnected,
-    Person,
     PowerSupply,
-    Prompt,
-    PromptKind,
     ThermalChamber,
     Voltmeter,
 )
 from drivers.making_safe import Attempts, let_go
+from drivers.person import Person, Prompt, PromptKind
 
 
 @dataclass(frozen=True)

@@ -32,9 +32,9 @@ from bench.run.person import (
 )
 from bench.run.terminal import TerminalPerson, heard_at
 from drivers.clock import Clock, SystemClock
-from drivers.interfaces.errors import NoAnswer
-from drivers.interfaces.person import Answer, Prompt
-from drivers.wire.causes import Haste
+from drivers.interfaces import NoAnswer
+from drivers.person import Answer, Prompt
+from drivers.wire.pyvisa_connection import Haste
 
 # the terminal's window closed counts as well, where the system has that signal
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))

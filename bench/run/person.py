@@ -13,12 +13,12 @@ from typing import Any, Final, Protocol
 
 from bench.base.files import open_regular
 from bench.base.numbers import read_number
-from bench.base.visible import in_json, shortened
+from bench.base.text import in_json, shortened
 from bench.config.procedure.plan import Mount
 from bench.run.events import Event, EventType, Wish
 from drivers.angles import format_dms, parse_angle, read_angle, typed_bubble, typed_supply, typed_temperature
-from drivers.interfaces.errors import BenchError
-from drivers.interfaces.person import Person, Prompt, PromptKind
+from drivers.interfaces import BenchError
+from drivers.person import Person, Prompt, PromptKind
 
 CONTROL: Final = "control.jsonl"
 SIGN: Final = ":"

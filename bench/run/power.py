@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final
 
-from bench.base.words import duration
+from bench.base.text import duration
 from bench.config.bench_file.rails import DriftForm, RailSection, UnitSupplySection
 from bench.config.procedure.plan import SWITCHED_ON, Mount, Plan, Power, Read
 from bench.readings.columns import Rail
@@ -16,10 +16,18 @@ from bench.run.person import ask
 from bench.run.resume import Progress
 from bench.run.samples import Criterion, NotSettled, Settling, wait_until_settled
 from drivers.clock import Clock
-from drivers.interfaces.errors import BadReading, BenchError, InstrumentLost, InstrumentRefused
-from drivers.interfaces.person import Person, Prompt, PromptKind, WatchingPerson
-from drivers.interfaces.supply import OutputState, PowerSupply, SetOtherwise, SupplyLimits
+from drivers.interfaces import (
+    BadReading,
+    BenchError,
+    InstrumentLost,
+    InstrumentRefused,
+    OutputState,
+    PowerSupply,
+    SetOtherwise,
+    SupplyLimits,
+)
 from drivers.making_safe import Attempts
+from drivers.person import Person, Prompt, PromptKind, WatchingPerson
 
 WATCH_S: Final = 10.0
 """So often the rails are looked at while something is waited for."""

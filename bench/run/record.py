@@ -22,7 +22,7 @@ from typing import Any, BinaryIO, Final, overload
 
 from bench.base.computing import uncollected
 from bench.base.files import open_regular, read_json, read_regular
-from bench.base.visible import in_json
+from bench.base.text import in_json
 from bench.config.procedure.plan import Plan, Read, Turn
 from bench.readings.reading import Reading
 from bench.run.events import (

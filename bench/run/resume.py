@@ -11,7 +11,8 @@ from typing import Any, Final
 from bench.config.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Step, Turn
 from bench.run.events import Event, EventType, Wish
 from bench.run.person import MOST_ATTEMPTS, REASON, OpenPrompt, OperatorWish, RunControl, problem_with_answer
-from drivers.interfaces import BenchError, NoAnswer, Person, Prompt, PromptKind
+from drivers.interfaces import BenchError, NoAnswer
+from drivers.person import Person, Prompt, PromptKind
 
 
 @dataclass

@@ -43,7 +43,8 @@ from bench.run.resume import (
 from bench.run.samples import SLOW_AFTER_S, Settling
 from bench.run.workbench import NAP_S, Workbench
 from drivers.clock import Clock, SystemClock
-from drivers.interfaces import BadReading, InstrumentLost, InstrumentRefused, Person
+from drivers.interfaces import BadReading, InstrumentLost, InstrumentRefused
+from drivers.person import Person
 
 Observer = Callable[[Event], None]
 Watch = Callable[[Reading], Sequence[EarlySign]]

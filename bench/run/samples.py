@@ -16,8 +16,7 @@ from bench.base.arrays import Floats
 from bench.readings.reading import Outlier
 from bench.run.events import EventType
 from drivers.clock import Clock
-from drivers.interfaces.errors import BenchError
-from drivers.interfaces.instruments import ThermalChamber
+from drivers.interfaces import BenchError, ThermalChamber
 
 OUTLIER_LEVEL: Final = 0.01
 """Probability with which normal samples without an outlier are said to have one."""

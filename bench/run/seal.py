@@ -18,9 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 from urllib.parse import urlsplit
 
-from bench.base.atomic_files import to_text, write_whole
-from bench.base.extras import missing
-from bench.base.files import read_given, read_regular
+from bench.base.computing import missing
+from bench.base.files import read_given, read_regular, to_text, write_whole
 from bench.run.events import ENDED, MANIFEST, RecordError, sha256
 from bench.run.folder import Run
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.base.numbers import figures, scale_for
-from bench.base.visible import visible
+from bench.base.text import visible
 from bench.config.procedure.plan import Plan
 from bench.readings.reading import Reading
 from bench.run.events import Answered, Event, EventType, Turned

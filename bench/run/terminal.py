@@ -23,8 +23,8 @@ from bench.run.person import NOBODY_KNOWN, SIGN, Who, parse_wish, raised
 from bench.run.resume import steps_of
 from bench.run.samples import Settling
 from bench.run.sentences import duration, sentence
-from drivers.interfaces.errors import NoAnswer
-from drivers.interfaces.person import Answer, Prompt, PromptKind
+from drivers.interfaces import NoAnswer
+from drivers.person import Answer, Prompt, PromptKind
 
 SLICE_S: Final = 1.0
 

@@ -51,13 +51,11 @@ from drivers.interfaces import (
     HeadPosition,
     Inclination,
     LimitExceeded,
-    Person,
-    Prompt,
-    PromptKind,
     ThermalChamber,
     Voltmeter,
     VoltmeterSettings,
 )
+from drivers.person import Person, Prompt, PromptKind
 
 MOST_ATTEMPTS: Final = 5
 MOST_PAIRS: Final = 3

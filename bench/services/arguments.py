@@ -11,7 +11,7 @@ from functools import wraps
 from numbers import Integral, Real
 from typing import Any, Final, ParamSpec, TypeVar
 
-from bench.base.visible import shortened, visible
+from bench.base.text import shortened, visible
 from bench.config.bench_file.file import BenchFile
 from bench.readings.table import Readings
 from bench.services.bench_selection import BenchTaken

@@ -9,9 +9,8 @@ from typing import Annotated, Final
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
-from bench.base.atomic_files import to_text
-from bench.base.files import MEGABYTE, read_regular
-from bench.base.visible import visible
+from bench.base.files import MEGABYTE, read_regular, to_text
+from bench.base.text import visible
 from bench.config.bench_file.file import BenchFile, load_bench, load_recorded_bench
 from bench.config.bench_file.learned import LearnedFile, load_learned
 from bench.config.shipped import find_bench

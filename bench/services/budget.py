@@ -10,8 +10,8 @@ from typing import Any, Final
 
 from rich.console import Console
 
-from bench.base.atomic_files import write_whole
 from bench.base.computing import tracked
+from bench.base.files import write_whole
 from bench.base.tables import as_html, as_text
 from bench.base.units import ACCELERATION, SCALE_FACTOR, VOLTAGE, QuantityKind
 from bench.calibration.budget.assessment import Assessment, Question, assess
@@ -27,8 +27,8 @@ from bench.config.model_file import load_model
 from bench.config.procedure.load import load_procedure
 from bench.config.procedure.plan import Plan
 from bench.config.shipped import find_procedure
-from bench.model.block import COEFFICIENTS, Block
 from bench.model.forward import ForwardModel
+from bench.model.geometry import COEFFICIENTS, Block
 from bench.planning.requirements import (
     Limit,
     Requirement,

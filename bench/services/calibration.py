@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.base.arrays import Floats, u_of
-from bench.base.atomic_files import write_whole
+from bench.base.files import write_whole
 from bench.base.numbers import fixed, places, scale_for, uncertainty
 from bench.base.tables import as_html, as_text, table
 from bench.calibration.budget.sources import assumed_stand
@@ -27,7 +27,7 @@ from bench.config.prior_file import PriorFile, load_prior
 from bench.exchange.result import BlockResult
 from bench.history.equivalence import STANDARD_GRAVITY
 from bench.history.prior import CONFLICT_P, Joined, Prior, join
-from bench.model.block import COEFFICIENTS, Block
+from bench.model.geometry import COEFFICIENTS, Block
 from bench.services.coefficients import Coefficients, block_result
 from bench.services.errors import Refused
 from bench.services.provenance import record_head

@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bench.base.arrays import Floats, u_of
-from bench.base.atomic_files import from_text, write_whole
-from bench.base.files import cache_folder, read_regular
-from bench.base.forms import load_document, part
+from bench.base.files import cache_folder, from_text, read_regular, write_whole
+from bench.base.yaml_files import load_document, part
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import LEAST_ARL, LEAST_SMOOTHING, MOST_ARL, CheckBlockSection
 from bench.history.control_chart import CheckRun, ControlChart, KnownDrift, Reference, control_chart
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.run.events import RecordError, RunState, sha256
 from bench.run.folder import BENCH, Run, all_runs, find_run
 from bench.services.calibration import CalibrationResult, calibration_of

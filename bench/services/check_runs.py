@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Final
 
-from bench.base.words import duration
+from bench.base.text import duration
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import CheckBlockSection
 from bench.run.events import MANIFEST, CheckedBefore, Manifest, RecordError

@@ -12,12 +12,11 @@ from typing import Any, Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.base.atomic_files import from_text
-from bench.base.files import read_given
-from bench.base.visible import shortened
+from bench.base.files import from_text, read_given
+from bench.base.text import shortened
 from bench.exchange.result import BlockResult
 from bench.history.comparison import Snapshot
-from bench.model.block import COEFFICIENTS, Block
+from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.table import UNITS
 from bench.services.errors import Refused
 

@@ -16,7 +16,7 @@ from bench.calibration.result import SourceOfError
 from bench.calibration.temperature.model import TemperatureModel
 from bench.calibration.tumble.terms import DEFAULT
 from bench.calibration.tumble.view import TumbleView, combine, tumble_view
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.services.source import Source
 
 OVER_TEMPERATURE: Final = ("temperature", "thermometer")

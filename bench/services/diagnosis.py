@@ -14,19 +14,17 @@ import numpy as np
 from rich.console import Console
 
 from bench.base.arrays import Floats, Mask
-from bench.base.atomic_files import write_whole
-from bench.base.files import cache_folder
+from bench.base.files import cache_folder, write_whole
 from bench.base.tables import as_text
-from bench.base.visible import visible
+from bench.base.text import visible
 from bench.diagnosis.full import FullDiagnosis, TooLittleLeft, diagnose_fully
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.result import Diagnosis
 from bench.diagnosis.threshold import ThresholdCache
 from bench.readings.corrected import as_read
 from bench.readings.csv import format_csv
-from bench.readings.joined import JoinedPart, together
 from bench.readings.mistaken import MistakeName
-from bench.readings.table import Readings
+from bench.readings.table import JoinedPart, Readings, together
 from bench.run.causes import STOP_ALARM
 from bench.run.early_warning import watcher_of
 from bench.run.events import EventType

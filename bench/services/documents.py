@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.base.atomic_files import from_text, write_whole
-from bench.base.files import read_regular
+from bench.base.files import from_text, read_regular, write_whole
 from bench.base.numbers import read_number
-from bench.base.words import repeated
+from bench.base.text import repeated
 from bench.calibration.estimators import CLOSED_FORM
 from bench.calibration.result import Calibration, CalibrationError
 from bench.exchange.forms import FORMS

@@ -14,8 +14,8 @@ from typing import Final
 
 from rich.console import Console
 
-from bench.base.atomic_files import to_text, write_whole
 from bench.base.computing import quiet
+from bench.base.files import to_text, write_whole
 from bench.config.bench_file.file import BenchFile, foreign_drivers, load_bench
 from bench.config.devices.sections import ControlledChamberForm
 from bench.config.model_file import load_model
@@ -46,8 +46,8 @@ from bench.services.traceability import remarks
 from bench.services.until import noted_goals, until_of
 from drivers.clock import utc_now
 from drivers.interfaces import BenchError
-from drivers.wire.causes import Haste
-from drivers.wire.log import WireLog
+from drivers.wire.pyvisa_connection import Haste
+from drivers.wire.replay import WireLog
 
 MOST_RECALLED: Final = 500
 """So many of the last readings of a resumed run teach the early warning what to expect; more teach it little."""

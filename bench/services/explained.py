@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bench.base.extras import missing
+from bench.base.computing import missing
 from bench.services.errors import Refused
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from bench.base.atomic_files import write_whole
+from bench.base.files import write_whole
 from bench.base.tables import as_text
 from bench.diagnosis.free_positions import all_free, diagnose_free
 from bench.diagnosis.free_result import FreeDiagnosis

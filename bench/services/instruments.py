@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol, runtime_checkable
 
 from bench.base.arrays import ARCSEC
-from bench.base.atomic_files import to_text, write_whole
+from bench.base.files import to_text, write_whole
 from bench.base.numbers import without_infinity
 from bench.config.bench_file.file import BenchFile
 from bench.config.devices.sections import ChamberForm, HeadForm, SupplyForm
@@ -27,22 +27,24 @@ from bench.services.provenance import versions
 from bench.services.simulated_truth import simulated_truth
 from drivers.angles import format_dms
 from drivers.clock import Clock, utc_now
-from drivers.interfaces.errors import BenchError, InstrumentLost, NoAnswer
-from drivers.interfaces.instruments import (
+from drivers.interfaces import (
+    BenchError,
     Identity,
     Instrument,
+    InstrumentLost,
     Level,
+    NoAnswer,
+    PowerSupply,
     SelfTesting,
     ThermalChamber,
     Thermometer,
     Voltmeter,
     VoltmeterSettings,
 )
-from drivers.interfaces.person import Answer, Person, Prompt
-from drivers.interfaces.supply import PowerSupply
 from drivers.making_safe import let_go
-from drivers.wire.causes import Haste
-from drivers.wire.log import WireLog, logged_wire
+from drivers.person import Answer, Person, Prompt
+from drivers.wire.pyvisa_connection import Haste
+from drivers.wire.replay import WireLog, logged_wire
 
 _LONGEST_S: Final = 180.0
 """Every driver gives up by its own timeouts; one that does not is told of after this time."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.config.formulas import effects_as_written, effects_in, effects_text, load_effects, written_formulas
 from bench.config.model_file import accept, load_model, write_model_file
 from bench.model.effects import CATALOGUE

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.base.words import repeated
+from bench.base.text import repeated
 from bench.calibration.budget.meters import KnownMeters
 from bench.calibration.known import KnownStand
 from bench.config.bench_file.file import BenchFile

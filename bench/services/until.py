@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.base.forms import FileMistakes
 from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE
+from bench.base.yaml_files import FileMistakes
 from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile, load_bench

@@ -10,8 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.readings.joined import JoinedPart, together
-from bench.readings.table import Readings, make_readings
+from bench.readings.table import JoinedPart, Readings, make_readings, together
 from benchmarks.blind_trial.designs import REFERENCE_TEMPERATURE_C, Run, Weather, make_run
 from benchmarks.blind_trial.effects import (
     BLOCK,

@@ -23,8 +23,7 @@ from pyvisa.constants import StatusCode
 from pyvisa.errors import VisaIOError
 
 from drivers.clock import Clock, SystemClock
-from drivers.wire.causes import WireError
-from drivers.wire.pyvisa_connection import Connection, SerialSettings
+from drivers.wire.pyvisa_connection import Connection, SerialSettings, WireError
 
 SCHEME: Final = "prologix:"
 

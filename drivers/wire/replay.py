@@ -1,4 +1,4 @@
-r"""A wire log of a real session, gone through again by the driver: a protocol test without the instrument.
+"""A wire log of a real session, gone through again by the driver: a protocol test without the instrument.
 
     from drivers.wire.replay import replayed
 
@@ -23,20 +23,91 @@ a backslash before x and two hex digits, n, r or t is taken for that character.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import re
 import sys
+import threading
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
+from drivers.clock import utc_now
 from drivers.interfaces import BadReading, BenchError, InstrumentLost
-from drivers.wire.log import escaped
 from drivers.wire.pyvisa_connection import Connection
 from drivers.wire.visa import AFTER_SENDING, BEFORE_SENDING, CONNECTING, MessageSession
+
+# --- the wire log -----------------------------------------------------------------------------------
+
+
+class WireLog:
+    r"""A wire log as a `drivers.wire.visa.MessageSession` takes it; safe to use from several threads.
+
+    A line is the time (UTC), the instrument, `>` (sent) or `<` (received), and the text, its control
+    characters escaped; where the wire failed, `!`, when it did (`connecting`, `before sending` anything,
+    `after sending`) and the error:
+
+        2026-11-21T09:15:41.123456+00:00 voltmeter.x > *IDN?
+        2026-11-21T09:15:44.123456+00:00 voltmeter.x ! after sending: InstrumentLost: … did not answer …; check …
+
+    A file that is there is added to. Each line is with the system before the message goes on. Where one cannot
+    be written (a full disk), a note on standard error says so, the log ends there, and the run goes on. Raises
+    `OSError` when the file cannot be opened.
+    """
+
+    def __init__(self, path: Path, now: Callable[[], datetime] = utc_now) -> None:
+        self.path = path
+        self._now = now
+        self._lock = threading.Lock()
+        self._file = path.open("ab", buffering=0)
+        self._ended = False
+
+    def __call__(self, instrument: str, direction: str, text: str) -> None:
+        """Write one message. Never raises."""
+        with self._lock:
+            if self._ended:
+                return
+            stamp = self._now().isoformat(timespec="microseconds")
+            line = f"{stamp} {instrument} {direction} {escaped(text)}\n".encode()
+            try:
+                while line:
+                    line = line[self._file.write(line) :]
+            except OSError as error:
+                self._ended = True
+                print(
+                    f"note: the wire log {self.path} ends here ({error.strerror or error}); the run goes on",
+                    file=sys.stderr,
+                )
+
+    def close(self) -> None:
+        """End the log. Never raises, may be called twice."""
+        with self._lock, contextlib.suppress(OSError):
+            self._ended = True
+            self._file.close()
+
+
+def escaped(text: str) -> str:
+    r"""Return the text with what cannot be printed as an escape: `\x03`, `\r`, `\u2028`."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+@contextmanager
+def logged_wire(path: Path | None) -> Iterator[WireLog | None]:
+    """Keep a wire log while the context lasts; none without a path. Raises `OSError`."""
+    if path is None:
+        yield None
+        return
+    log = WireLog(path)
+    try:
+        yield log
+    finally:
+        log.close()
+
+
+# --- replay -----------------------------------------------------------------------------------------
 
 _LINE: Final = re.compile(r"(\S+) (\S+) (?:([<>])(?: ([\x20-\x7e]*))?|! (.+))")
 _FAILURE: Final = re.compile(

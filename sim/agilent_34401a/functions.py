@@ -9,16 +9,16 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from drivers.agilent_34401a.facts import NPLC_BY_RESOLUTION
-from drivers.agilent_34401a.facts import RANGES_V as _DC_V
-from sim.scpi.instrument import Command
-from sim.scpi.status import ScpiError
-from sim.scpi.values import (
+from drivers.facts.agilent_34401a import NPLC_BY_RESOLUTION
+from drivers.facts.agilent_34401a import RANGES_V as _DC_V
+from sim.scpi import Command
+from sim.scpi_values import (
     DEF,
     MAX,
     MIN,
     Boolean,
     Number,
+    ScpiError,
     Text,
     Value,
     next_above,

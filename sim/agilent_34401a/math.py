@@ -8,10 +8,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from drivers.agilent_34401a.facts import OVERLOAD_V
-from sim.scpi.instrument import Command
-from sim.scpi.status import ScpiError
-from sim.scpi.values import MIN, Boolean, Choice, Number, Value, integer, next_above, within
+from drivers.facts.agilent_34401a import OVERLOAD_V
+from sim.scpi import Command
+from sim.scpi_values import MIN, Boolean, Choice, Number, ScpiError, Value, integer, next_above, within
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,27 +9,27 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Final, Literal
 
-from drivers.agilent_34401a import facts
-from sim.agilent_34401a.converter import Accuracy, Converter, MeteredSignal
+from drivers.facts import agilent_34401a as facts
 from sim.agilent_34401a.functions import FUNCTIONS, Configuration, Function
-from sim.agilent_34401a.line import VOLT_OVERLOAD, Interface, LineMeter
 from sim.agilent_34401a.math import Math
 from sim.agilent_34401a.trigger import Trigger
-from sim.scpi.instrument import Command
-from sim.scpi.status import DEVICE_ERROR, ScpiError
-from sim.scpi.values import (
+from sim.scpi import Command
+from sim.scpi_values import (
     DEF,
+    DEVICE_ERROR,
     MAX,
     MIN,
     Boolean,
     CommandParameter,
     Number,
+    ScpiError,
     Text,
     Value,
     Word,
     integer,
     quoted,
 )
+from sim.voltmeters import VOLT_OVERLOAD, Accuracy, Converter, Interface, LineMeter, MeteredSignal
 
 if TYPE_CHECKING:
     from drivers.clock import Clock

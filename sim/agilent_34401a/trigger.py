@@ -9,20 +9,31 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from drivers.agilent_34401a.facts import MEMORY_READINGS, OVERLOAD_V
-from sim.agilent_34401a.converter import reading_text
-from sim.agilent_34401a.line import MeasuringCycle, TriggerState
-from sim.scpi.instrument import Command
-from sim.scpi.status import ScpiError
-from sim.scpi.values import INF, MAX, MIN, Boolean, Choice, Number, Text, Value, integer, quoted, within
+from drivers.facts.agilent_34401a import MEMORY_READINGS, OVERLOAD_V
+from sim.scpi import Command
+from sim.scpi_values import (
+    INF,
+    MAX,
+    MIN,
+    Boolean,
+    Choice,
+    Number,
+    ScpiError,
+    Text,
+    Value,
+    integer,
+    quoted,
+    within,
+)
+from sim.voltmeters import MeasuringCycle, TriggerState, reading_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from drivers.clock import Clock
-    from sim.agilent_34401a.converter import Converter
     from sim.agilent_34401a.functions import Configuration
     from sim.agilent_34401a.math import Math
+    from sim.voltmeters import Converter
 
 _MOST_READINGS: Final = 50_000
 _LONGEST_DELAY_S: Final = 3600.0

@@ -19,7 +19,7 @@ from sim.world.chance import keyed_generator
 if TYPE_CHECKING:
     import numpy as np
 
-    from sim.agilent_34401a.line import MeasuringCycle
+    from sim.voltmeters import MeasuringCycle
     from sim.wires.session import Dialect
 
 

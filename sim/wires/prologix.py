@@ -13,7 +13,7 @@ import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from sim.scpi.instrument import ScpiInstrument, never
+from sim.scpi import ScpiInstrument, never
 from sim.world.clock import VirtualClock, wait_until
 
 if TYPE_CHECKING:

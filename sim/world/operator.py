@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from bench.base.arrays import ARCSEC
-from drivers.interfaces.errors import NoAnswer
-from drivers.interfaces.person import Answer, MountBlock, Prompt, PromptKind
+from drivers.interfaces import NoAnswer
+from drivers.person import Answer, MountBlock, Prompt, PromptKind
 from sim.world.chance import keyed_generator
 
 if TYPE_CHECKING:
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from drivers.interfaces.instruments import Direction
-    from drivers.interfaces.person import ReadSupply, SetSupply, SwitchSupply
+    from drivers.interfaces import Direction
+    from drivers.person import ReadSupply, SetSupply, SwitchSupply
     from sim.world.world import World
 
 

@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.model.block import Block
 from bench.model.conditions import Conditions
 from bench.model.effects.base import Stage
 from bench.model.forward import ForwardModel
-from bench.model.geometry import INSTALLATION_1
+from bench.model.geometry import INSTALLATION_1, Block
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from drivers.interfaces.instruments import Direction, LevelAxis
+    from drivers.interfaces import Direction, LevelAxis
 
 
 @dataclass(frozen=True)

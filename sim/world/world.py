@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.model.distribution import Distribution
-from bench.model.geometry import STAND_ANGLES, stand_errors
+from bench.model.geometry import STAND_ANGLES, Distribution, stand_errors
 from sim.world.chance import KeyedNumbers
 from sim.world.pose import (
     HeadFault,
@@ -29,10 +28,10 @@ from sim.world.power import Power, PowerSettings, dead_v
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from bench.model.block import Block
     from bench.model.forward import ForwardModel
+    from bench.model.geometry import Block
     from drivers.clock import Clock
-    from drivers.interfaces.instruments import Channel, Direction, LevelAxis
+    from drivers.interfaces import Channel, Direction, LevelAxis
 
 
 _LEAST_SPREAD: Final = 1e-6

@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 from rich.text import Text
 
-from bench.base.atomic_files import from_text, to_text
-from bench.base.files import read_given, read_regular
+from bench.base.files import from_text, read_given, read_regular, to_text
 from bench.base.tables import Screen, as_html, table
-from bench.base.visible import in_json, visible
+from bench.base.text import in_json, visible
 
 ACTS = [
     "\x1b[2J",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.base.atomic_files import write_whole
+from bench.base.files import write_whole
 
 
 def test_a_device_or_pipe_is_written_to_and_never_replaced(tmp_path: Path) -> None:

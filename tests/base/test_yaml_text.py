@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from bench.base.yaml_text import read_yaml, read_yaml_with_lines
+from bench.base.yaml_files import read_yaml, read_yaml_with_lines
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = sorted([*(ROOT / "procedures").glob("*.yaml"), *(ROOT / "config").glob("*.yaml")])

@@ -8,7 +8,7 @@ import pytest
 from bench.batch.job import CALIBRATE, COLUMNS, DIAGNOSE, Job, arrow_schema
 from bench.batch.stored import Found, change_in_u, changes
 from bench.batch.work import worked
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from tests.support.many_runs import edited, runs_in
 
 PASSED = "passed (conditional pass)"

@@ -13,7 +13,8 @@ from bench.run.folder import Run
 from bench.services.execution import carry_out, new_run
 from benchmarks.mistaken_operator import KINDS, MistakenOperator, draw
 from benchmarks.mistakes_campaign import CLEAN, LARGE, Outcome, setting, table, watched, whole
-from drivers.interfaces import Answer, NoAnswer
+from drivers.interfaces import NoAnswer
+from drivers.person import Answer
 from tests.support.schemas import keeps_to
 
 QUICK = {"procedure": "quick", "bench_name": "paper-stand"}

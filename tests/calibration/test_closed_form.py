@@ -6,8 +6,7 @@ import pytest
 from bench.calibration import CalibrationError, Noise, calibrate
 from bench.calibration.closed_form import closed_form
 from bench.model import ForwardModel
-from bench.model.block import COEFFICIENTS
-from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
 from tests.support.paper_bench import STAND_U, TRUTH, U0, K, design, simulate, specific_force
 

@@ -13,7 +13,7 @@ from bench.calibration.derived import (
     misalignments,
     specific_force_covariance,
 )
-from bench.model.block import COEFFICIENTS, Block
+from bench.model.geometry import COEFFICIENTS, Block
 from tests.support.paper_bench import TRUTH, U0, K
 
 BLOCK = Block(K, U0)

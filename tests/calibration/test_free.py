@@ -13,7 +13,7 @@ from bench.calibration import CalibrationError, Noise, calibrate
 from bench.calibration.design import FreeRows, make_problem
 from bench.calibration.free import modulus_rows
 from bench.model import CATALOGUE, AppliedEffect, Block, ForwardModel
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import read_csv
 from bench.readings.table import make_readings
 from tests.support.honest_runs import (

@@ -12,8 +12,7 @@ from bench.calibration import CalibrationError, Noise, calibrate
 from bench.calibration.design import make_problem
 from bench.calibration.noise import Residuals, noise_from_residuals
 from bench.model import Block, ForwardModel
-from bench.model.block import COEFFICIENTS
-from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
 from tests.support.paper_bench import (
     ARCSEC,

@@ -15,8 +15,7 @@ from bench.calibration.observability import (
     with_angles,
 )
 from bench.model import AppliedEffect, Block, Conditions, Effect, ForwardModel, Installation, Parameter, Stage
-from bench.model.block import COEFFICIENTS
-from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
 from tests.support.paper_bench import ARCSEC, TRUTH, U0, K, design, specific_force
 
 A1, A2, A3, A5 = "axis_tilt", "zero_offset", "mounting_error", "mounting_roll"

@@ -15,7 +15,7 @@ from bench.diagnosis.mistakes.search import find_mistakes
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.csv import read_csv
-from bench.readings.joined import stacked
+from bench.readings.table import stacked
 
 SHEET = (-2.18, -2.14, -2.14)
 MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})

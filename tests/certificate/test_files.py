@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.certificate.laboratory import load_laboratory, load_order
 from bench.certificate.texts import LANGUAGES, texts_of
 from bench.config.shipped import CERTIFICATE, shipped_folder

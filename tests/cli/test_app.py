@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import read_csv, write_csv
 from bench.run.folder import Run
 from tests.support.procedure_texts import TWO_INSTALLATIONS

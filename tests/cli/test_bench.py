@@ -12,7 +12,7 @@ from bench.cli.app import main
 from bench.config.bench_file.file import load_bench
 from bench.model import ForwardModel
 from bench.run.folder import Run
-from drivers.manual.head import ManualHead
+from drivers.instruments.manual import ManualHead
 from sim.bench import SimulatedBench
 from sim.wires.session import WireFault
 from sim.world.clock import VirtualClock

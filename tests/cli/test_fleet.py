@@ -10,7 +10,7 @@ import yaml
 
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from tests.support.laboratory import VECTOR, U, write_run
 from tests.support.schemas import keeps_to
 

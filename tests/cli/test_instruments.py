@@ -21,7 +21,7 @@ from bench.run.assembly.served import dry_bench
 from bench.services import instruments as command
 from drivers.clock import SystemClock
 from drivers.interfaces import BenchError, Identity, InstrumentLost, InstrumentRefused, SelfTesting
-from drivers.wire.discovery import SOCKETS, SerialPort, discover
+from drivers.wire.resources import SOCKETS, SerialPort, discover
 from sim.agilent_34401a.meter import Agilent34401A
 from sim.bench import SimulatedBench
 from sim.wires.faults import Fault, FaultKind
@@ -293,8 +293,8 @@ def test_the_wire_log_holds_both_directions(served: SimulatedBench, bench: Bench
 
 
 def test_the_meters_driver_tests_itself() -> None:
-    from drivers.agilent_34401a.driver import Agilent34401A as Driver
-    from drivers.manual.head import ManualHead
+    from drivers.instruments.agilent_34401a import Agilent34401A as Driver
+    from drivers.instruments.manual import ManualHead
 
     assert issubclass(Driver, SelfTesting)
     assert not issubclass(ManualHead, SelfTesting)
@@ -331,7 +331,7 @@ def test_what_cannot_be_searched_is_a_note() -> None:
 def test_the_command_lists_offers(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     port = SerialPort("ASRL/dev/ttyUSB0::INSTR", "/dev/ttyUSB0", "USB serial")
     found = discover(lambda: ("TCPIP::10.0.0.7::INSTR",), lambda: (port,))
-    monkeypatch.setattr("drivers.wire.discovery.discover", lambda: found)
+    monkeypatch.setattr("drivers.wire.resources.discover", lambda: found)
     status, out, err = bench("--discover")
     assert (status, err) == (0, "")
     assert "TCPIP::10.0.0.7::INSTR" in out
@@ -350,7 +350,7 @@ def test_instruments_that_another_program_holds_are_refused_with_its_name(
             name, f"{resource} is in use by 'bench run'", "end that program or wait for it"
         )
 
-    monkeypatch.setattr("drivers.wire.holding.Holding.take", held)
+    monkeypatch.setattr("drivers.wire.resources.Holding.take", held)
     status, out, err = bench("--bench", "bench.yaml")
     assert status == 2
     assert err.count("is in use by 'bench run'; end that program or wait for it") == 3

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.base.extras import EXTRAS, missing
+from bench.base.computing import EXTRAS, missing
 from tests.support.certificates import ORDER, copy_run, write_files
 from tests.support.pages import ROOT
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import write_csv
 from tests.support.paper_bench import TRUTH
 from tests.support.thermal_bench import coefficients, simulate, truth

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench, load_recorded_bench
 from bench.config.formulas import effects_in, effects_text, load_effects
 from bench.config.model_file import load_model, write_model_file

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.base.arrays import ARCSEC
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
 from bench.config.model_file import load_model, write_model_file
 from bench.model import CATALOGUE, AppliedEffect

@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.config import shipped
 from bench.config.shipped import copy_shipped, find_bench, find_procedure
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
 from bench.config.devices.registry import devices
 from bench.config.devices.sections import ChamberTruth, HeadTruth, LevelTruth, SupplyTruth, ThermometerTruth

@@ -14,8 +14,8 @@ import pytest
 from bench.config.devices.device import Device
 from bench.run.instruments import Instruments, leave_safe
 from bench.run.power import Feeding, UnitPower
+from drivers.instruments.manual import ManualHead
 from drivers.interfaces import InstrumentLost
-from drivers.manual.head import ManualHead
 from sim.wires.faults import Fault, FaultKind
 from tests.support.fed_bench import N15, P15
 from tests.support.fed_runs import section_of

@@ -13,7 +13,7 @@ from bench.diagnosis.residual_dictionary import make_dictionary
 from bench.diagnosis.residual_model import describe
 from bench.diagnosis.residual_search import Setting
 from bench.model import AppliedEffect
-from bench.readings.joined import JoinedPart, together
+from bench.readings.table import JoinedPart, together
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND_U, paper_run
 from tests.support.paper_bench import SETTING_U_RAD
 

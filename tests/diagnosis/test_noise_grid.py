@@ -7,7 +7,7 @@ import pytest
 
 from bench.diagnosis.multi_run_system import make_system
 from bench.diagnosis.noise_grid import coupled, make_whitener
-from bench.readings.joined import JoinedPart, together
+from bench.readings.table import JoinedPart, together
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND_U, paper_run
 from tests.support.paper_bench import SETTING_U_RAD
 

@@ -14,7 +14,7 @@ from bench.diagnosis.posterior import NoiseSize, posterior
 from bench.diagnosis.repeats import p_alike, with_sizes_of_runs
 from bench.diagnosis.single_run_search import in_the_noise_of
 from bench.diagnosis.weighing import WeighedDown
-from bench.readings.joined import JoinedPart, together
+from bench.readings.table import JoinedPart, together
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, STAND_U, K, paper_run
 
 SEED = 301

@@ -22,7 +22,7 @@ from bench.cli.commands import COMMANDS
 from bench.cli.options import app
 from bench.config.model_file import load_model
 from bench.model import Conditions
-from bench.model import block as blocks_model
+from bench.model import geometry as blocks_model
 from bench.model.conditions import Mounting
 from bench.model.effects import CATALOGUE
 from bench.readings.csv import write_csv

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from bench.base.extras import EXTRAS
+from bench.base.computing import EXTRAS
 from bench.model import ForwardModel
 from bench.run.assembly.served import dry_bench
 from tests.support.certified_bench import meter_certificate, table_certificate

@@ -14,6 +14,7 @@ import pytest
 
 from bench.config.devices.registry import devices
 from drivers.chambers import ChamberLimits
+from drivers.instruments.keysight_34461a import Keysight34461A
 from drivers.interfaces import (
     BenchError,
     Identity,
@@ -23,7 +24,6 @@ from drivers.interfaces import (
     ThermalChamber,
     VoltmeterSettings,
 )
-from drivers.keysight_34461a.driver import Keysight34461A
 from drivers.wire.replay import replayed
 from sim.wires.session import DROP, SILENCE, WireFault
 from tests.support.instrument_stand import written_bench

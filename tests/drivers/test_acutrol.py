@@ -9,8 +9,8 @@ from itertools import pairwise
 
 import pytest
 
-from drivers.acutrol.driver import AcutrolHead
-from drivers.acutrol.facts import READ_TERMINATION, WRITE_TERMINATION
+from drivers.facts.acutrol import READ_TERMINATION, WRITE_TERMINATION
+from drivers.instruments.acutrol import AcutrolHead
 from drivers.interfaces import (
     BadReading,
     DividingHead,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from drivers.agilent_34401a.driver import Agilent34401A
+from drivers.instruments.agilent_34401a import Agilent34401A
 from drivers.interfaces import (
     BadReading,
     Identity,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.aim_tti import facts
-from drivers.aim_tti.driver import AimTti
+from drivers.facts import aim_tti as facts
+from drivers.instruments.aim_tti import AimTti
 from drivers.interfaces import BadReading, InstrumentRefused, OutputSettings, SupplyLimits
 from tests.support.scripted_session import ScriptedSession
 

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 import pytest
 
 from drivers.chambers import ChamberLimits
-from drivers.espec.driver import EspecChamber
-from drivers.espec.facts import READ_TERMINATION, WRITE_TERMINATION
+from drivers.facts.espec import READ_TERMINATION, WRITE_TERMINATION
+from drivers.instruments.espec import EspecChamber
 from drivers.interfaces import Identity, InstrumentLost, InstrumentRefused, LimitExceeded, ThermalChamber
 from sim.espec import EspecP300
 from sim.wires.session import DROP, REFUSE, WireFault

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from drivers.instruments.keithley_2000 import Keithley2000
 from drivers.interfaces import (
     BadReading,
     Identity,
@@ -13,7 +14,6 @@ from drivers.interfaces import (
     Voltmeter,
     VoltmeterSettings,
 )
-from drivers.keithley_2000.driver import Keithley2000
 from tests.support.scripted_session import Pairs, ScriptedSession
 
 OPENING: Pairs = [("*IDN?", "KEITHLEY INSTRUMENTS INC.,MODEL 2000,1308393,A20  /A02"), ("*CLS", None)]

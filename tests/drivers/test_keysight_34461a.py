@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import pytest
 
+from drivers.instruments.keysight_34461a import Keysight34461A
 from drivers.interfaces import (
     BadReading,
     Identity,
@@ -15,7 +16,6 @@ from drivers.interfaces import (
     Voltmeter,
     VoltmeterSettings,
 )
-from drivers.keysight_34461a.driver import Keysight34461A
 from drivers.wire.visa import SerialSettings
 from sim.world.clock import VirtualClock
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import pytest
 
+from drivers.instruments.keysight_34970a import Keysight34970A
 from drivers.interfaces import (
     BadReading,
     Identity,
@@ -16,7 +17,6 @@ from drivers.interfaces import (
     Voltmeter,
     VoltmeterSettings,
 )
-from drivers.keysight_34970a.driver import Keysight34970A
 from drivers.wire.visa import SerialSettings
 from sim.world.clock import VirtualClock
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from drivers.facts import keysight_e36300 as facts
+from drivers.instruments.keysight_e36300 import KeysightE36300
 from drivers.interfaces import InstrumentRefused, OutputSettings, SupplyLimits
-from drivers.keysight_e36300 import facts
-from drivers.keysight_e36300.driver import KeysightE36300
 from tests.support.scripted_session import ScriptedSession
 
 OPENED = [("*IDN?", "Keysight Technologies,E36312A,MY61001234,2.1.1-1.0.4-1.12"), ("*CLS", None)]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from drivers.facts import keysight_e3631a as facts
+from drivers.instruments.keysight_e3631a import KeysightE3631A
 from drivers.interfaces import InstrumentRefused, OutputSettings, SupplyLimits
-from drivers.keysight_e3631a import facts
-from drivers.keysight_e3631a.driver import KeysightE3631A
 from tests.support.scripted_session import ScriptedSession
 
 IDENTITY = ("*IDN?", "HEWLETT-PACKARD,E3631A,0,1.4-5.0-1.0")

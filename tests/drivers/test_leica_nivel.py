@@ -6,9 +6,9 @@ import math
 
 import pytest
 
+from drivers.facts import leica_nivel as facts
+from drivers.instruments.leica_nivel import LeicaNivel
 from drivers.interfaces import BadReading, Identity, InstrumentRefused
-from drivers.leica_nivel import facts
-from drivers.leica_nivel.driver import LeicaNivel
 from tests.support.scripted_session import ScriptedSession
 
 FROM_THE_MANUAL = [

@@ -7,19 +7,16 @@ from collections.abc import Sequence
 
 import pytest
 
+from drivers.instruments.manual import ManualChamber, ManualHead
 from drivers.interfaces import (
-    Answer,
     BadReading,
     DividingHead,
     InstrumentRefused,
     LimitExceeded,
     NoAnswer,
-    Prompt,
-    PromptKind,
     ThermalChamber,
 )
-from drivers.manual.chamber import ManualChamber
-from drivers.manual.head import ManualHead
+from drivers.person import Answer, Prompt, PromptKind
 
 SECOND = math.radians(1.0 / 3600.0)
 TOLERANCE = 30 * SECOND

@@ -6,8 +6,9 @@ import math
 
 import pytest
 
-from drivers.interfaces import Answer, BadReading
-from drivers.manual.level import ManualLevel
+from drivers.instruments.manual import ManualLevel
+from drivers.interfaces import BadReading
+from drivers.person import Answer
 
 ARCSEC = math.pi / 648000.0
 

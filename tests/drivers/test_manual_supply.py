@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from drivers.instruments.manual_supply import ManualSupply
 from drivers.interfaces import (
-    Answer,
     BadReading,
     InstrumentRefused,
     LimitExceeded,
@@ -14,7 +14,7 @@ from drivers.interfaces import (
     SetOtherwise,
     SupplyLimits,
 )
-from drivers.manual.supply import ManualSupply
+from drivers.person import Answer
 
 PLUS = OutputLimits((0.0, 30.0), (0.0, 3.0), 0.01, 0.001, (0.0, 33.0))
 WANTED = {"+": OutputSettings(15.0, 0.2, 17.0)}

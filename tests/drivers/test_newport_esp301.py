@@ -8,10 +8,10 @@ from contextlib import contextmanager
 
 import pytest
 
+from drivers.facts.newport_esp301 import READ_TERMINATION, WRITE_TERMINATION
+from drivers.instruments.newport_esp301 import NewportHead
 from drivers.interfaces import BadReading, HeadPosition, Identity, InstrumentLost, InstrumentRefused
 from drivers.motion import Travel
-from drivers.newport_esp301.driver import NewportHead
-from drivers.newport_esp301.facts import READ_TERMINATION, WRITE_TERMINATION
 from sim.newport_esp301 import Esp301
 from sim.wires.session import DROP, SILENCE, FaultHook, WireFault
 from sim.world.pose import HeadFault

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import pytest
 
 from drivers.chambers import ChamberLimits
+from drivers.instruments.thermotron import ThermotronChamber
 from drivers.interfaces import (
     BadReading,
     Identity,
@@ -16,7 +17,6 @@ from drivers.interfaces import (
     LimitExceeded,
     ThermalChamber,
 )
-from drivers.thermotron.driver import ThermotronChamber
 from sim.thermotron import Thermotron8800
 from sim.world.world import World
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession

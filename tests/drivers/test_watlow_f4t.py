@@ -9,8 +9,8 @@ from itertools import pairwise
 import pytest
 
 from drivers.chambers import ChamberLimits
+from drivers.instruments.watlow_f4t import WatlowF4TChamber
 from drivers.interfaces import Identity, InstrumentLost, InstrumentRefused, LimitExceeded, ThermalChamber
-from drivers.watlow_f4t.driver import WatlowF4TChamber
 from sim.watlow_f4t import WatlowF4T
 from sim.world.world import World
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession

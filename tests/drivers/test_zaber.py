@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from drivers.facts.zaber import checksum
 from drivers.interfaces import (
     BadReading,
     DividingHead,
@@ -12,7 +13,6 @@ from drivers.interfaces import (
     InstrumentRefused,
     LimitExceeded,
 )
-from drivers.zaber.facts import checksum
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession
 from tests.support.zaber_head import DEG, STEPS, head
 

@@ -7,10 +7,10 @@ from contextlib import contextmanager
 
 import pytest
 
+from drivers.facts.zaber import READ_TERMINATION, SERIAL, WRITE_TERMINATION
+from drivers.instruments.zaber import ZaberHead
 from drivers.interfaces import BadReading, InstrumentLost, InstrumentRefused
 from drivers.wire.visa import MessageSession, SerialSettings
-from drivers.zaber.driver import ZaberHead
-from drivers.zaber.facts import READ_TERMINATION, SERIAL, WRITE_TERMINATION
 from sim.wires.server import TERMINALS, TerminalServer
 from sim.wires.session import DROP, SILENCE, ServedInstrument, WireFault
 from sim.world.pose import HeadFault

@@ -16,7 +16,7 @@ from bench.calibration.derived import specific_force_covariance
 from bench.exchange.autopilots import diagonal, lower_triangular, sensor_of
 from bench.exchange.forms import FORMS
 from bench.exchange.result import SIMULATED, BlockResult
-from bench.model.block import Block
+from bench.model.geometry import Block
 from tests.support.paper_bench import U0, K
 
 G = 9.810547

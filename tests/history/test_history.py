@@ -10,7 +10,7 @@ from scipy import stats
 
 from bench.calibration import CalibrationError, calibrate
 from bench.history.comparison import Snapshot, compare
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import write_csv
 from tests.support.paper_bench import STAND_U, TRUTH, simulate
 from tests.support.thermal_bench import MODEL

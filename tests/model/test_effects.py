@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from bench.model import CATALOGUE, AppliedEffect, Block, Conditions, Distribution, Effect, ForwardModel, Stage
-from bench.model.block import COEFFICIENTS
-from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
 from tests.support.paper_bench import ARCSEC, TRUTH, U0, K, design, specific_force
 
 BLOCK = Block(K, U0)

@@ -7,7 +7,7 @@ import pytest
 
 from bench.model import Conditions, ForwardModel, Installation
 from bench.model.conditions import PAST_RAD
-from bench.model.effects.hysteresis import state
+from bench.model.effects.block import state
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from tests.support.effect_bench import BLOCK, KII, effect
 from tests.support.paper_bench import ARCSEC, specific_force

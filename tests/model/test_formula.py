@@ -9,9 +9,8 @@ import pytest
 from bench.diagnosis.threshold import formulas
 from bench.model import CATALOGUE, AppliedEffect, Conditions, ForwardModel, Parameter, Stage, Subsystem
 from bench.model.effects import ExpressionError, FormulaEffect, Seen
-from bench.model.effects.expression import MOST_CHARACTERS, parse
-from bench.model.effects.nonlinear import CrossCoupling
-from bench.model.effects.thermal import WarmUp
+from bench.model.effects.block import CrossCoupling, WarmUp
+from bench.model.effects.formula import MOST_CHARACTERS, parse
 from tests.support.effect_bench import ALPHA4, BLOCK, CONDITIONS, INSTALLATIONS, STAND
 
 SIZE = Parameter("A", "1", 1.0, 1e-5, per_channel=False)

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bench.model.effects import CATALOGUE, Catalogue
-from bench.model.effects.catalogue import GROUP
+from bench.model.effects import CATALOGUE, GROUP, Catalogue
 
 MODULE = '''
 from bench.model.effects.base import BlockEffect, Parameter

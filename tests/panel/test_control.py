@@ -11,7 +11,7 @@ from bench.run.folder import Run
 from bench.run.person import ANSWERS, CONTROL, asked_to_json
 from bench.run.record import Record
 from drivers.clock import utc_now
-from drivers.interfaces import Prompt, PromptKind
+from drivers.person import Prompt, PromptKind
 from tests.support.pages import ROOT
 from tests.support.panel_client import Browser, stranger
 

@@ -13,7 +13,7 @@ from bench.config.bench_file.stand import AngleError, TemperatureError
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.model import ForwardModel
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.planning.optimal_design import coefficient_goals, widening
 from bench.planning.settings import conditions_of, fitted, settings_of
 from bench.planning.stand import checks_of, repeats

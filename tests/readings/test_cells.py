@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.base.visible import visible
-from bench.readings.cells import as_cell, of_cell
+from bench.base.text import visible
+from bench.readings.columns import as_cell, of_cell
 from bench.readings.csv import format_csv, read_csv
 
 HEADER = "installation,pass,point,angle_deg,ux_v,uy_v,uz_v"

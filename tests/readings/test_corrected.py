@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from bench.readings.corrected import Corrections, corrected
-from bench.readings.joined import JoinedPart, together
-from bench.readings.table import make_readings
+from bench.readings.table import JoinedPart, make_readings, together
 from tests.support.paper_bench import simulate
 
 N = 4

@@ -8,7 +8,7 @@ import pytest
 from bench.calibration import calibrate
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
-from bench.readings.joined import JoinedPart, together
+from bench.readings.table import JoinedPart, together
 from tests.support.paper_bench import STAND_U, simulate
 
 MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})

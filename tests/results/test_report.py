@@ -11,8 +11,7 @@ import pytest
 from bench.base.numbers import concise, fixed, rounded, scale_for
 from bench.calibration import calibrate, verify
 from bench.model import ForwardModel
-from bench.model.block import COEFFICIENTS
-from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
 from bench.results import ReportContent, plots, render_report, write_report
 from tests.support.paper_bench import STAND_U, simulate

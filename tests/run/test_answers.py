@@ -22,8 +22,8 @@ from bench.run.person import (
 )
 from bench.run.resume import halt_prompt
 from drivers.angles import parse_angle
-from drivers.interfaces import Prompt, PromptKind
-from drivers.manual.head import ManualHead
+from drivers.instruments.manual import ManualHead
+from drivers.person import Prompt, PromptKind
 
 ANN = Who("Ann", "operator", "panel")
 ARCSEC = math.pi / 648000.0

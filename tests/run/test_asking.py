@@ -29,8 +29,9 @@ from bench.run.power import RailFault
 from bench.run.sentences import sentence
 from bench.run.terminal import TerminalPerson
 from drivers.angles import parse_angle
-from drivers.interfaces import LimitExceeded, NoAnswer, Prompt, PromptKind
-from drivers.manual.head import ManualHead
+from drivers.instruments.manual import ManualHead
+from drivers.interfaces import LimitExceeded, NoAnswer
+from drivers.person import Prompt, PromptKind
 from sim.world.clock import VirtualClock
 
 ANN = Who("Ann", "operator", "panel")

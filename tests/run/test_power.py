@@ -12,7 +12,8 @@ from bench.run.person import RunControl
 from bench.run.power import ANEW, RailFault
 from bench.run.record import Record, resume_point
 from bench.run.runner import RunAborted
-from drivers.interfaces import Answer, BenchError, OutputSettings
+from drivers.interfaces import BenchError, OutputSettings
+from drivers.person import Answer
 from sim.world.clock import VirtualClock
 from tests.support.fed_runs import Supply, fed_runner, found_on
 from tests.support.runner_bench import NOON, PLAN, READS, STOP, Bench, Meter, new_record, recorded

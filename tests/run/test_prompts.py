@@ -20,7 +20,8 @@ from bench.run.person import (
     mount_prompt,
 )
 from bench.run.terminal import TerminalPerson, heard_at, typing_help
-from drivers.interfaces import Answer, BenchError, Identity, NoAnswer, Prompt, PromptKind
+from drivers.interfaces import BenchError, Identity, NoAnswer
+from drivers.person import Answer, Prompt, PromptKind
 
 
 class Script:

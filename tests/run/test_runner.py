@@ -11,7 +11,8 @@ from bench.run.events import RecordError
 from bench.run.instruments import Instruments
 from bench.run.person import UNTOUCHED
 from bench.run.record import Record, resume_point
-from drivers.interfaces import Answer, BadReading, BenchError, Identity, LimitExceeded, NotConnected
+from drivers.interfaces import BadReading, BenchError, Identity, LimitExceeded, NotConnected
+from drivers.person import Answer
 from tests.support.runner_bench import (
     ALL,
     NOON,

@@ -8,16 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.calibration.budget.meters import thermometer_size
 from bench.config.bench_file.file import load_bench
 from bench.config.bench_file.traceability import corrections_of
 from bench.config.shipped import find_bench
 from bench.readings.csv import read_csv
 from bench.run.folder import Run
-from drivers.interfaces import Answer, BadReading, LimitExceeded
-from drivers.keysight_34970a.thermometer import Keysight34970AThermometer
-from drivers.manual.chamber import ManualThermometer
+from drivers.instruments.keysight_34970a import Keysight34970AThermometer
+from drivers.instruments.manual import ManualThermometer
+from drivers.interfaces import BadReading, LimitExceeded
+from drivers.person import Answer
 
 BESIDE = '{driver: keysight-34970a-thermometer, resource: "%s", interface: gpib, channel: %s}'
 CERTIFICATE = (

@@ -16,7 +16,8 @@ from bench.run.power import WATCH_S, RailFault
 from bench.run.terminal import LineReader, ProgressBar, TerminalPerson
 from benchmarks import supply_trials
 from benchmarks.fault_trials import command
-from drivers.interfaces import Answer, NoAnswer, Prompt, PromptKind
+from drivers.interfaces import NoAnswer
+from drivers.person import Answer, Prompt, PromptKind
 from sim.world.clock import VirtualClock
 from sim.world.power import Disturbance
 from tests.support.fed_runs import Supply, fed_runner

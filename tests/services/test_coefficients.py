@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import impossible, read_coefficients
 from bench.services.errors import Refused
 

@@ -20,7 +20,7 @@ from bench.run.events import Wish
 from bench.run.person import OperatorWish, RunControl
 from bench.services.errors import Refused
 from bench.services.instruments import PAGE, RESULT, WIRE_LOG, Setting, commission
-from drivers.interfaces import Answer, Person, Prompt
+from drivers.person import Answer, Person, Prompt
 from tests.support.schemas import keeps_to
 
 

@@ -11,7 +11,7 @@ from rich.console import Console
 import bench as program
 from bench.base.arrays import ARCSEC, u_of
 from bench.config.bench_file.learned import arcsec
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.run.events import RecordError
 from bench.run.folder import LEARNED, Run
 from bench.services.check_block import check_values

@@ -5,8 +5,8 @@ import pytest
 
 from bench.model import Block, ForwardModel
 from bench.model.geometry import INSTALLATION_1
+from drivers.instruments.keysight_34461a import Keysight34461A as Driver
 from drivers.interfaces import VoltmeterSettings
-from drivers.keysight_34461a.driver import Keysight34461A as Driver
 from drivers.wire.visa import MessageSession
 from sim.bench import SimulatedBench
 from sim.keysight_34461a import Keysight34461A

@@ -5,11 +5,11 @@ import pytest
 
 from bench.model import Block, Distribution, ForwardModel
 from bench.model.geometry import INSTALLATION_1
+from drivers.instruments.keysight_34970a import Keysight34970A as Driver
 from drivers.interfaces import VoltmeterSettings
-from drivers.keysight_34970a.driver import Keysight34970A as Driver
 from drivers.wire.visa import MessageSession
 from sim.bench import SimulatedBench
-from sim.keysight_34970a.multiplexer import Keysight34970A
+from sim.keysight_34970a import Keysight34970A
 from sim.world.chance import keyed_generator
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings

@@ -10,16 +10,15 @@ from bench.config.shipped import find_bench
 from bench.run.commission.session import Evening, Listening, WireWatch
 from bench.run.instruments import Instruments
 from drivers.interfaces import (
-    Answer,
     BenchError,
     Channel,
     Direction,
     HeadPosition,
     Identity,
     LimitExceeded,
-    Prompt,
     VoltmeterSettings,
 )
+from drivers.person import Answer, Prompt
 from sim.world.clock import VirtualClock
 
 

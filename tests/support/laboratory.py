@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from benchmarks.many_folders import bench_text
 
 VECTOR = (-2.177, -0.018, 0.025, 0.027, -2.14, 0.033, 0.007, 0.006, -2.144, 0.071, -0.196, -0.412)

@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from bench.base.atomic_files import to_text
+from bench.base.files import to_text
 from bench.services.calibration import calibration_of
 from bench.services.source import Request, load_sources
 from bench.services.verification import verification_of

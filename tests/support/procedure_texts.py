@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.config.procedure.load import Procedure, load_procedure
 from bench.config.procedure.plan import Plan, Read
 

@@ -10,17 +10,8 @@ from bench.config.procedure.plan import Ask, Mount, OnFailure, Plan, Read, Step,
 from bench.run.instruments import Instruments
 from bench.run.record import History, Record, read_history
 from bench.run.runner import Runner
-from drivers.interfaces import (
-    Answer,
-    Channel,
-    Direction,
-    HeadPosition,
-    Identity,
-    InstrumentLost,
-    Prompt,
-    PromptKind,
-    VoltmeterSettings,
-)
+from drivers.interfaces import Channel, Direction, HeadPosition, Identity, InstrumentLost, VoltmeterSettings
+from drivers.person import Answer, Prompt, PromptKind
 from sim.world.clock import VirtualClock
 
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)

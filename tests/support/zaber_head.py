@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from drivers.instruments.zaber import ZaberHead
 from drivers.motion import Travel
-from drivers.zaber.driver import ZaberHead
 from tests.support.scripted_session import Clock
 
 DEG = math.pi / 180

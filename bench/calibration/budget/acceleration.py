@@ -31,11 +31,10 @@ from bench.calibration.conformity import SIMPLE, DecisionRule, Known, Population
 from bench.calibration.design import coefficient_columns
 from bench.calibration.result import CalibrationError
 from bench.calibration.verification import modulus_slopes
-from bench.model.block import COEFFICIENTS
 from bench.model.conditions import Conditions
 from bench.model.effects import Stage
 from bench.model.effects.base import Seen
-from bench.model.geometry import STAND_ANGLES
+from bench.model.geometry import COEFFICIENTS, STAND_ANGLES
 
 DIRECTIONS: Final = 1000
 MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)

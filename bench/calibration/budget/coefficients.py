@@ -26,7 +26,7 @@ from bench.calibration.budget.setup import gain as gain_of
 from bench.calibration.budget.sources import sizes_by_name
 from bench.calibration.estimators import GLS
 from bench.calibration.known import KnownStand
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 
 
 @dataclass(frozen=True)

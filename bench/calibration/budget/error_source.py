@@ -13,10 +13,8 @@ from bench.base.arrays import ARCSEC, CHANNELS, Floats, rms
 from bench.calibration.design import EffectUnknown
 from bench.calibration.known import KnownNoise, KnownStand
 from bench.config.bench_file.file import BenchFile
-from bench.model.block import Block
 from bench.model.conditions import Conditions, Mounting
-from bench.model.distribution import Distribution
-from bench.model.geometry import STAND_ANGLES, Installation
+from bench.model.geometry import STAND_ANGLES, Block, Distribution, Installation
 from bench.readings.columns import drift_rad_s
 from bench.readings.corrected import DAY, FOUNDATION
 from bench.readings.table import Readings

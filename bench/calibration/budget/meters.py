@@ -18,7 +18,7 @@ from bench.config.bench_file.file import BenchFile
 from bench.config.devices.certificates import Certificate, CertifiedGain, CertifiedOffset
 from bench.config.devices.unknown import UnknownVoltmeter
 from bench.config.devices.voltmeters import DAYS_90, VoltmeterForm
-from bench.model.distribution import Distribution
+from bench.model.geometry import Distribution
 
 Quantity = Literal["voltmeter_gain", "voltmeter_offset"]
 

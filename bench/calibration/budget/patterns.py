@@ -13,9 +13,8 @@ from bench.base.arrays import Floats, Ints
 from bench.calibration.budget.error_source import NAME as FOUNDATION
 from bench.calibration.budget.error_source import ErrorSource, tilt_patterns
 from bench.calibration.budget.setup import Setup
-from bench.model.block import Block
 from bench.model.conditions import Conditions
-from bench.model.geometry import STAND_ANGLES
+from bench.model.geometry import STAND_ANGLES, Block
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from scipy import special
 
 from bench.base.arrays import Floats, HasCovariance, Mask, Singles, u_of
 from bench.calibration.result import CalibrationError
-from bench.model.distribution import Distribution
+from bench.model.geometry import Distribution
 
 COVERAGE: Final = 0.9545
 """The coverage probability of results: that of k = 2 for a normal distribution (EA-4/02 M:2022, section 5)."""

@@ -19,10 +19,9 @@ from bench.calibration.known import KnownStand
 from bench.calibration.result import CalibrationError, Noise
 from bench.config.bench_file.file import BenchFile
 from bench.config.procedure.plan import Plan, Read, SetTemperature
-from bench.model.block import Block
 from bench.model.conditions import Conditions
 from bench.model.forward import ForwardModel
-from bench.model.geometry import STAND_ANGLES
+from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings, make_readings
 
 _SAME_FORCE_G: Final = 1e-6

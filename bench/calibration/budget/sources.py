@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS
-from bench.base.words import exact_duration
+from bench.base.text import exact_duration
 from bench.calibration.budget.error_source import Common, ErrorSource, foundation_of, learned_sources
 from bench.calibration.budget.meters import KnownMeters, Size, linearity_of, size_of, thermometer_size
 from bench.calibration.budget.setup import Setup

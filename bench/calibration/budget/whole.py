@@ -26,7 +26,7 @@ from bench.calibration.result import Calibration, SourceOfError
 from bench.calibration.verification import modulus_slopes
 from bench.config.bench_file.file import BenchFile
 from bench.model import Block, Conditions, ForwardModel
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings
 
 GRAVITY: Final = "gravity"

@@ -21,7 +21,7 @@ from bench.calibration.gls import (
 )
 from bench.calibration.noise import whiten
 from bench.calibration.result import LackOfFit, Noise
-from bench.model.block import Block, linear_columns
+from bench.model.geometry import Block, linear_columns
 
 WEAKEST: Final = 1e-3
 """Columns of unit length whose least singular value is below this part of the largest are not determined."""

@@ -10,7 +10,7 @@ import numpy as np
 from bench.base.arrays import Floats, HasCovariance, Ints, Mask, u_of
 from bench.base.numbers import finite_or_none
 from bench.calibration.result import CalibrationError, LackOfFit, Noise, values_with_u
-from bench.model.block import COEFFICIENTS, Block
+from bench.model.geometry import COEFFICIENTS, Block
 
 
 @dataclass(frozen=True)

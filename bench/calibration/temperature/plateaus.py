@@ -14,8 +14,7 @@ import numpy as np
 
 from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration import CalibrationError
-from bench.readings.joined import JoinedPart, together
-from bench.readings.table import REFERENCE, SHORTED, UNORIENTED, VERIFICATION, Readings
+from bench.readings.table import REFERENCE, SHORTED, UNORIENTED, VERIFICATION, JoinedPart, Readings, together
 
 PLATEAU_K: Final = 2.0
 """Temperatures within so many kelvins are one plateau: chambers hold theirs to better than 1 K."""

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from bench.base.arrays import Floats, Singles
-from bench.base.c_source import comment, one_line, single
+from bench.base.text import comment, one_line, single
 from bench.calibration.derived import INVERSE
 from bench.calibration.result import CalibrationError
 from bench.calibration.temperature.model import TemperatureModel

@@ -13,9 +13,9 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.model.block import HIDDEN, Block
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE, Parameter, Seen
+from bench.model.geometry import HIDDEN, Block
 
 LINEAR: Final = ("K1", "Ki_j", "Ki_k", "K0")
 """What every tumble has: scale factor, the two cross-axis terms, bias."""

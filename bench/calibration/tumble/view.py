@@ -23,12 +23,11 @@ from bench.calibration.noise import require_told
 from bench.calibration.result import CalibrationError, LackOfFit, Noise
 from bench.calibration.tumble.terms import DEFAULT, HOMES, LINEAR, Separable, columns, parameter_of, separable
 from bench.config.bench_file.file import BenchFile
-from bench.model.block import COEFFICIENTS, Block
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE
 from bench.model.effects.base import AppliedEffect
 from bench.model.forward import ForwardModel
-from bench.model.geometry import STAND_ANGLES
+from bench.model.geometry import COEFFICIENTS, STAND_ANGLES, Block
 from bench.readings.table import Readings
 
 NO_PRIOR: Final = 1.0

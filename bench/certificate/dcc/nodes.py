@@ -10,7 +10,7 @@ from typing import Final
 
 from lxml import etree
 
-from bench.base.visible import visible
+from bench.base.text import visible
 from bench.certificate.texts import Texts
 
 VOLT: Final = r"\volt"

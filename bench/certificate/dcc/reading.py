@@ -17,14 +17,13 @@ from lxml import etree
 from pydantic import ValidationError
 
 from bench.base.arrays import Floats
-from bench.base.atomic_files import from_text
-from bench.base.files import read_regular
-from bench.base.visible import visible
+from bench.base.files import from_text, read_regular
+from bench.base.text import visible
 from bench.certificate.dcc.lists import Dimension, NotRead, RealList, real_lists
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, Node
 from bench.certificate.dcc.rules import parser
 from bench.config.devices.certificates import ChamberCertificate, HeadCertificate
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import coefficients_of
 from bench.services.errors import Refused
 

@@ -13,8 +13,7 @@ from typing import Any, Final
 import numpy as np
 from lxml import etree
 
-from bench.base.visible import shortened
-from bench.base.words import repeated
+from bench.base.text import repeated, shortened
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SI_VERSION, SIGNATURE, VERSION, Node, read_unit
 from bench.certificate.laboratory import SIMULATED_SERIES
 from bench.services.coefficients import impossible

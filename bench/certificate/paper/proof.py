@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from bench.base.arrays import ARCSEC
 from bench.base.numbers import aligned, fixed, quantity, rounded, two_digits, typeset, uncertainty
-from bench.base.visible import visible
+from bench.base.text import visible
 from bench.calibration.verification import optional_probability, probability_in_words
 from bench.certificate.content import (
     Certificate,

@@ -9,9 +9,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from bench.base.arrays import CHANNELS
-from bench.base.forms import part
 from bench.base.units import SCALE_FACTOR, VOLTAGE, QuantityKind, parse_quantity
-from bench.base.yaml_text import Place, unknown_word
+from bench.base.yaml_files import Place, part, unknown_word
 from bench.config.bench_file.rails import supply_mistakes
 from bench.config.bench_file.sections import InstrumentsSection
 from bench.config.devices.device import Role, bus_place

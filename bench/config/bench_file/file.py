@@ -9,17 +9,17 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import Field, field_validator
 
-from bench.base.forms import (
+from bench.base.units import FrequencyHz
+from bench.base.yaml_files import (
     FileMistakes,
     FileModel,
+    Place,
     load_document,
     load_validated,
     part,
     sha256_of_file,
     validated,
 )
-from bench.base.units import FrequencyHz
-from bench.base.yaml_text import Place
 from bench.config.bench_file.crosschecks import FURTHER, mistakes_between_parts
 from bench.config.bench_file.sections import (
     CheckBlockSection,

@@ -20,9 +20,9 @@ import yaml
 from pydantic import Field, model_validator
 
 from bench.base.arrays import ARCSEC, Floats
-from bench.base.atomic_files import write_whole
-from bench.base.forms import FileMistake, FileMistakes, FileModel, load_validated
+from bench.base.files import write_whole
 from bench.base.units import AngleRad, SizeRad
+from bench.base.yaml_files import FileMistake, FileMistakes, FileModel, load_validated
 from bench.config.devices.certificates import Day
 from bench.config.formulas import FormulaEntry
 from bench.config.model_file import EffectEntry, WithEffects, written_effects

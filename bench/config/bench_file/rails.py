@@ -9,7 +9,6 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationError, model_validator
 
-from bench.base.forms import FileModel, part
 from bench.base.units import (
     CURRENT,
     DURATION,
@@ -22,10 +21,10 @@ from bench.base.units import (
     VoltageV,
     parse_quantity,
 )
-from bench.base.yaml_text import Place, unknown_word
+from bench.base.yaml_files import FileModel, Place, part, unknown_word
 from bench.config.devices.registry import devices
 from bench.config.devices.sections import SupplyForm
-from drivers.interfaces.supply import OutputSettings, SupplyLimits
+from drivers.interfaces import OutputSettings, SupplyLimits
 
 _NAME: Final = re.compile(r"[a-z][a-z0-9]{0,30}")
 

@@ -8,7 +8,6 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field, field_validator, model_validator
 
 from bench.base.arrays import ARCSEC, CHANNELS
-from bench.base.forms import FileModel
 from bench.base.units import (
     SCALE_FACTOR,
     VOLTAGE,
@@ -20,6 +19,7 @@ from bench.base.units import (
     VoltageV,
     parse_quantity,
 )
+from bench.base.yaml_files import FileModel
 from bench.config.devices.certificates import Day
 from bench.config.devices.device import WiredForm
 from bench.config.devices.registry import chosen_by_driver
@@ -36,7 +36,7 @@ from bench.config.devices.sections import (
     ThermometerTruth,
 )
 from bench.config.devices.voltmeters import VoltmeterForm, VoltmeterTruth
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 
 InstrumentForm = VoltmeterForm | HeadForm | ChamberForm | LevelForm | ThermometerForm | SupplyForm
 

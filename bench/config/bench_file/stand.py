@@ -7,7 +7,6 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
-from bench.base.forms import FileModel
 from bench.base.units import (
     ACCELERATION,
     GRAVITY,
@@ -23,11 +22,11 @@ from bench.base.units import (
     SpanS,
     not_negative,
 )
+from bench.base.yaml_files import FileModel
 from bench.config.bench_file.rails import UnitSupplySection
 from bench.config.devices.certificates import Day
 from bench.config.devices.sections import SizeK, TemperatureRange
-from bench.model.distribution import Distribution
-from bench.model.geometry import Installation, normal_gravity_m_s2
+from bench.model.geometry import Distribution, Installation, normal_gravity_m_s2
 
 LARGEST_RAD: Final = math.radians(2.0)
 """An error of the stand has no larger limit: one in a hundred of g along a level axis is 0.6 deg."""

@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 from bench.base.arrays import ARCSEC
 from bench.config.devices.device import Device, resource_on
 from bench.config.devices.sections import HeadTruth, MotorisedHeadForm, SpeedRadS
-from drivers.acutrol import facts as acutrol
+from drivers.facts import acutrol
 
 
 class AcutrolSection(MotorisedHeadForm):
@@ -47,7 +47,7 @@ class AcutrolSection(MotorisedHeadForm):
 DEVICE = Device(
     "acutrol",
     AcutrolSection,
-    driver="drivers.acutrol.driver:AcutrolHead",
+    driver="drivers.instruments.acutrol:AcutrolHead",
     simulation="sim.acutrol:AcutrolTable",
     example={
         "resource": "TCPIP0::192.0.2.40::9888::SOCKET",

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 from bench.config.devices.device import Device
 from bench.config.devices.voltmeters import OneChannelForm, SerialPortForm
-from drivers.agilent_34401a import facts as agilent
+from drivers.facts import agilent_34401a as agilent
 
 
 class Agilent34401ASection(OneChannelForm, SerialPortForm):
@@ -20,7 +20,7 @@ class Agilent34401ASection(OneChannelForm, SerialPortForm):
 DEVICE = Device(
     "agilent-34401a",
     Agilent34401ASection,
-    driver="drivers.agilent_34401a.driver:Agilent34401A",
+    driver="drivers.instruments.agilent_34401a:Agilent34401A",
     simulation="sim.agilent_34401a.meter:Agilent34401A",
     example={"channels": ["x"], "resource": "GPIB0::22::INSTR", "interface": "gpib"},
     simulated=("noise", "accuracy"),

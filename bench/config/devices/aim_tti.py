@@ -8,7 +8,7 @@ from pydantic import field_validator
 
 from bench.config.devices.device import Device, PortSection, usual_baud_rate
 from bench.config.devices.sections import OF_THE_UNIT, WiredSupplyForm
-from drivers.aim_tti import facts as aim
+from drivers.facts import aim_tti as aim
 
 
 class AimTtiPort(PortSection):
@@ -37,7 +37,7 @@ class AimTtiSection(WiredSupplyForm):
 DEVICE = Device(
     "aim-tti",
     AimTtiSection,
-    driver="drivers.aim_tti.driver:AimTti",
+    driver="drivers.instruments.aim_tti:AimTti",
     simulation="sim.aim_tti:AimTti",
     example={"model": "CPX400DP", "resource": "TCPIP0::192.0.2.71::9221::SOCKET"},
     simulated=OF_THE_UNIT,

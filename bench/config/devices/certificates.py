@@ -15,7 +15,7 @@ from typing import Annotated, Final
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
-from bench.base.forms import FileModel
+from bench.base.text import repeated
 from bench.base.units import (
     ANGLE,
     DIFFERENCE,
@@ -29,7 +29,7 @@ from bench.base.units import (
     not_negative,
     reads,
 )
-from bench.base.words import repeated
+from bench.base.yaml_files import FileModel
 
 DAYS_OF_YEAR: Final = 365.25
 

@@ -11,8 +11,8 @@ from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
 
 from pydantic import AfterValidator, field_validator
 
-from bench.base.forms import FileModel
 from bench.base.units import DurationS
+from bench.base.yaml_files import FileModel
 
 Role = Literal["voltmeter", "head", "chamber", "level", "thermometer", "power_supply"]
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from bench.config.devices.device import Device, IdentityPattern, PortSection, as_stated, resource_on
 from bench.config.devices.sections import OF_THE_AIR, ChamberTruth, ControlledChamberForm
-from drivers.espec import facts as espec
+from drivers.facts import espec
 
 
 class EspecSection(ControlledChamberForm):
@@ -37,7 +37,7 @@ class EspecSection(ControlledChamberForm):
 DEVICE = Device(
     "espec",
     EspecSection,
-    driver="drivers.espec.driver:EspecChamber",
+    driver="drivers.instruments.espec:EspecChamber",
     simulation="sim.espec:EspecP300",
     example={"resource": "TCPIP0::192.0.2.50::10001::SOCKET", "minimum": "-40 degC", "maximum": "85 degC"},
     simulated=(*OF_THE_AIR, "sensor_noise"),

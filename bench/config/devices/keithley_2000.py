@@ -8,7 +8,7 @@ from pydantic import field_validator, model_validator
 
 from bench.config.devices.device import Device, Port, PortSection, is_serial, usual_baud_rate
 from bench.config.devices.voltmeters import OneChannelForm, VoltmeterTruth
-from drivers.keithley_2000 import facts as keithley
+from drivers.facts import keithley_2000 as keithley
 
 
 class Keithley2000Port(PortSection):
@@ -56,7 +56,7 @@ class Keithley2000Section(OneChannelForm):
 DEVICE = Device(
     "keithley-2000",
     Keithley2000Section,
-    driver="drivers.keithley_2000.driver:Keithley2000",
+    driver="drivers.instruments.keithley_2000:Keithley2000",
     simulation="sim.keithley_2000:Keithley2000",
     example={"channels": ["x"], "resource": "GPIB0::16::INSTR"},
     simulated=("noise", "accuracy"),

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 from bench.config.devices.device import Device
 from bench.config.devices.voltmeters import OneChannelForm
-from drivers.keysight_34461a import facts as truevolt
+from drivers.facts import keysight_34461a as truevolt
 
 
 class Keysight34461ASection(OneChannelForm):
@@ -21,7 +21,7 @@ class Keysight34461ASection(OneChannelForm):
 DEVICE = Device(
     "keysight-34461a",
     Keysight34461ASection,
-    driver="drivers.keysight_34461a.driver:Keysight34461A",
+    driver="drivers.instruments.keysight_34461a:Keysight34461A",
     simulation="sim.keysight_34461a:Keysight34461A",
     example={"channels": ["x"], "resource": "TCPIP0::192.0.2.22::5025::SOCKET"},
     simulated=("noise", "accuracy"),

@@ -9,8 +9,8 @@ from pydantic import AfterValidator, Field, field_validator
 from bench.base.units import DurationS
 from bench.config.devices.device import Device
 from bench.config.devices.voltmeters import SerialPortForm, VoltmeterTruth
+from drivers.facts import keysight_34970a as multiplexer
 from drivers.interfaces import Channel
-from drivers.keysight_34970a import facts as multiplexer
 
 
 def _on_a_card(number: int) -> int:
@@ -70,8 +70,8 @@ class Keysight34970ASection(SerialPortForm):
 DEVICE = Device(
     "keysight-34970a",
     Keysight34970ASection,
-    driver="drivers.keysight_34970a.driver:Keysight34970A",
-    simulation="sim.keysight_34970a.multiplexer:Keysight34970A",
+    driver="drivers.instruments.keysight_34970a:Keysight34970A",
+    simulation="sim.keysight_34970a:Keysight34970A",
     example={
         "inputs": {"x": "101", "y": "102", "z": "103"},
         "resource": "GPIB0::9::INSTR",

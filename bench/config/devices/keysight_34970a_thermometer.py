@@ -9,8 +9,8 @@ from pydantic import AfterValidator, model_validator
 from bench.base.units import DurationS
 from bench.config.devices.device import Device, PortSection, WiredForm, any_resource
 from bench.config.devices.sections import ThermometerForm, ThermometerTruth
-from drivers.keysight_34970a import facts as multiplexer
-from drivers.keysight_34970a.sensors import PAIRED, SENSORS
+from drivers.facts import keysight_34970a as multiplexer
+from drivers.facts.keysight_34970a import PAIRED, SENSORS
 
 SensorWord = Literal["pt100", "pt100-two-wire", "thermistor-2252", "thermistor-5k", "thermistor-10k"]
 
@@ -74,8 +74,8 @@ class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
 DEVICE = Device(
     "keysight-34970a-thermometer",
     Keysight34970AThermometerSection,
-    driver="drivers.keysight_34970a.thermometer:Keysight34970AThermometer",
-    simulation="sim.keysight_34970a.multiplexer:meter_with_probe",
+    driver="drivers.instruments.keysight_34970a:Keysight34970AThermometer",
+    simulation="sim.keysight_34970a:meter_with_probe",
     example={"resource": "TCPIP0::192.0.2.70::5025::SOCKET", "channel": "104"},
     simulated=("error", "noise", "air_share"),
     place=1,

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 
 from bench.config.devices.device import Device
 from bench.config.devices.sections import OF_THE_UNIT, WiredSupplyForm
-from drivers.keysight_e36300 import facts as keysight
+from drivers.facts import keysight_e36300 as keysight
 
 
 class KeysightE36300Section(WiredSupplyForm):
@@ -25,7 +25,7 @@ class KeysightE36300Section(WiredSupplyForm):
 DEVICE = Device(
     "keysight-e36300",
     KeysightE36300Section,
-    driver="drivers.keysight_e36300.driver:KeysightE36300",
+    driver="drivers.instruments.keysight_e36300:KeysightE36300",
     simulation="sim.keysight_e36300:KeysightE36300",
     example={"model": "E36312A", "resource": "TCPIP0::192.0.2.70::5025::SOCKET"},
     simulated=OF_THE_UNIT,

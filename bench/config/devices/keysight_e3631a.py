@@ -9,7 +9,7 @@ from pydantic import field_validator
 from bench.config.devices.device import Device, usual_baud_rate
 from bench.config.devices.sections import OF_THE_UNIT, SupplyTruth, WiredSupplyForm
 from bench.config.devices.voltmeters import SerialSection
-from drivers.keysight_e3631a import facts as keysight
+from drivers.facts import keysight_e3631a as keysight
 
 
 class KeysightE3631ASection(WiredSupplyForm):
@@ -42,7 +42,7 @@ class KeysightE3631ASection(WiredSupplyForm):
 DEVICE = Device(
     "keysight-e3631a",
     KeysightE3631ASection,
-    driver="drivers.keysight_e3631a.driver:KeysightE3631A",
+    driver="drivers.instruments.keysight_e3631a:KeysightE3631A",
     simulation="sim.keysight_e3631a:KeysightE3631A",
     example={"resource": "GPIB0::5::INSTR", "interface": "gpib"},
     simulated=OF_THE_UNIT,

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from bench.base.units import DurationS
 from bench.config.devices.device import Device, PortSection, WiredForm, resource_on
 from bench.config.devices.sections import LevelForm, LevelTruth
-from drivers.leica_nivel import facts as nivel
+from drivers.facts import leica_nivel as nivel
 
 Axis = Literal["+X", "-X", "+Y", "-Y"]
 
@@ -55,7 +55,7 @@ class LeicaNivelSection(LevelForm, WiredForm):
 DEVICE = Device(
     "leica-nivel",
     LeicaNivelSection,
-    driver="drivers.leica_nivel.driver:LeicaNivel",
+    driver="drivers.instruments.leica_nivel:LeicaNivel",
     simulation="sim.leica_nivel:LeicaNivel",
     example={"resource": "ASRL/dev/ttyUSB1::INSTR"},
     simulated=("zero_along", "zero_across", "noise", "scale"),

@@ -7,8 +7,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from bench.base.forms import FileModel
 from bench.base.units import Ratio, SizeA, SizeRad, TemperatureC, VoltageV
+from bench.base.yaml_files import FileModel
 from bench.config.devices.device import Device
 from bench.config.devices.sections import (
     OF_THE_UNIT,
@@ -187,7 +187,7 @@ DEVICE = (
     Device(
         "manual-head",
         ManualHeadSection,
-        driver="drivers.manual.head:ManualHead",
+        driver="drivers.instruments.manual:ManualHead",
         simulation=None,
         example={"scale_division": "1 arcsec", "tolerance": "30 arcsec", "enter_accepts_target": False},
         place=0,
@@ -195,7 +195,7 @@ DEVICE = (
     Device(
         "manual-chamber",
         ManualChamberSection,
-        driver="drivers.manual.chamber:ManualChamber",
+        driver="drivers.instruments.manual:ManualChamber",
         simulation=None,
         example={"minimum": "-60 degC", "maximum": "100 degC"},
         place=0,
@@ -203,7 +203,7 @@ DEVICE = (
     Device(
         "manual-level",
         ManualLevelSection,
-        driver="drivers.manual.level:ManualLevel",
+        driver="drivers.instruments.manual:ManualLevel",
         simulation=None,
         example={"division": "5 arcsec"},
         simulated=("zero_along", "zero_across", "noise", "scale"),
@@ -212,7 +212,7 @@ DEVICE = (
     Device(
         "manual-thermometer",
         ManualThermometerSection,
-        driver="drivers.manual.chamber:ManualThermometer",
+        driver="drivers.instruments.manual:ManualThermometer",
         simulation=None,
         example={"minimum": "-60 degC", "maximum": "150 degC"},
         place=0,
@@ -220,7 +220,7 @@ DEVICE = (
     Device(
         "manual-supply",
         ManualSupplySection,
-        driver="drivers.manual.supply:ManualSupply",
+        driver="drivers.instruments.manual_supply:ManualSupply",
         simulation=None,
         example={
             "outputs": {

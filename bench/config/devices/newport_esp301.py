@@ -16,7 +16,7 @@ from bench.config.devices.device import (
     usual_baud_rate,
 )
 from bench.config.devices.sections import HeadTruth, MotorisedHeadForm
-from drivers.newport_esp301 import facts as newport
+from drivers.facts import newport_esp301 as newport
 
 _BEYOND_DEG: Final = 5.0
 """How far a simulated stage can turn beyond the limits in the bench file, degrees."""
@@ -75,7 +75,7 @@ class NewportSection(MotorisedHeadForm):
 DEVICE = Device(
     "newport-esp301",
     NewportSection,
-    driver="drivers.newport_esp301.driver:NewportHead",
+    driver="drivers.instruments.newport_esp301:NewportHead",
     simulation="sim.newport_esp301:Esp301",
     example={
         "resource": "ASRL/dev/ttyUSB0::INSTR",

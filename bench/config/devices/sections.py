@@ -8,7 +8,6 @@ from typing import Annotated, Any, ClassVar, Final
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from bench.base.arrays import ARCSEC
-from bench.base.forms import FileModel
 from bench.base.units import (
     DIFFERENCE,
     AngleRad,
@@ -22,9 +21,10 @@ from bench.base.units import (
     not_negative,
     reads,
 )
+from bench.base.yaml_files import FileModel
 from bench.config.devices.certificates import ChamberCertificate, HeadCertificate
 from bench.config.devices.device import DeviceSection, Role, WiredForm, any_resource
-from drivers.interfaces.supply import SupplyLimits
+from drivers.interfaces import SupplyLimits
 
 SPEED: Final = QuantityKind("a speed of turning", "10 deg/s", "rad/s")
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from bench.config.devices.device import Device, IdentityPattern, PortSection, as_stated, resource_on
 from bench.config.devices.sections import OF_THE_AIR, ChamberTruth, ControlledChamberForm
-from drivers.thermotron import facts as thermotron
+from drivers.facts import thermotron
 
 
 class ThermotronSection(ControlledChamberForm):
@@ -37,7 +37,7 @@ class ThermotronSection(ControlledChamberForm):
 DEVICE = Device(
     "thermotron",
     ThermotronSection,
-    driver="drivers.thermotron.driver:ThermotronChamber",
+    driver="drivers.instruments.thermotron:ThermotronChamber",
     simulation="sim.thermotron:Thermotron8800",
     example={"resource": "TCPIP0::192.0.2.52::8888::SOCKET", "minimum": "-40 degC", "maximum": "85 degC"},
     simulated=OF_THE_AIR,

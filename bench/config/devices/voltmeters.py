@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from bench.base.forms import FileModel
 from bench.base.units import DurationS, VoltageV
+from bench.base.yaml_files import FileModel
 from bench.config.devices.certificates import VoltmeterCertificate, of_known_ranges
 from bench.config.devices.device import Role, WiredForm, any_resource, usual_baud_rate
 from drivers.interfaces import Channel, VoltmeterLimits

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from bench.base.units import TemperatureC
 from bench.config.devices.device import Device, IdentityPattern, resource_on
 from bench.config.devices.sections import OF_THE_AIR, ChamberTruth, ControlledChamberForm
-from drivers.watlow_f4t import facts as f4t
+from drivers.facts import watlow_f4t as f4t
 
 
 class WatlowF4TSection(ControlledChamberForm):
@@ -46,7 +46,7 @@ class WatlowF4TSection(ControlledChamberForm):
 DEVICE = Device(
     "watlow-f4t",
     WatlowF4TSection,
-    driver="drivers.watlow_f4t.driver:WatlowF4TChamber",
+    driver="drivers.instruments.watlow_f4t:WatlowF4TChamber",
     simulation="sim.watlow_f4t:WatlowF4T",
     example={
         "resource": "TCPIP0::192.0.2.51::5025::SOCKET",

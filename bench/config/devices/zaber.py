@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from bench.config.devices.device import Device, IdentityPattern, PortSection, resource_on
 from bench.config.devices.sections import HeadTruth, MotorisedHeadForm
-from drivers.zaber import facts as zaber
+from drivers.facts import zaber
 
 _BEYOND_DEG: Final = 5.0
 """How far a simulated stage can turn beyond the limits in the bench file, degrees."""
@@ -74,7 +74,7 @@ class ZaberSection(MotorisedHeadForm):
 DEVICE = Device(
     "zaber",
     ZaberSection,
-    driver="drivers.zaber.driver:ZaberHead",
+    driver="drivers.instruments.zaber:ZaberHead",
     simulation="sim.zaber:ZaberStage",
     example={
         "resource": "TCPIP0::192.0.2.30::55550::SOCKET",

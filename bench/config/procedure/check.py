@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import HOUR, Floats
-from bench.base.words import APPROACH, duration
+from bench.base.text import APPROACH, duration
 from bench.config.bench_file.file import BenchFile
 from bench.config.procedure.plan import (
     SWITCHED_ON,
@@ -24,7 +24,7 @@ from bench.config.procedure.plan import (
     Turn,
 )
 from bench.config.procedure.steps import in_scan_order, read_order
-from bench.model.block import COEFFICIENTS, hidden_axes
+from bench.model.geometry import COEFFICIENTS, hidden_axes
 from bench.readings.table import UNORIENTED, VERIFICATION
 
 ROUNDING_RAD: Final = 1e-9

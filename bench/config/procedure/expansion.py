@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from bench.base.forms import Document, FileMistake
-from bench.base.yaml_text import Place
+from bench.base.yaml_files import Document, FileMistake, Place
 from bench.config.procedure.file import (
     FailureSection,
     IncludedFile,

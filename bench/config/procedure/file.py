@@ -16,7 +16,6 @@ from pydantic import (
 )
 
 from bench.base.arrays import ARCSEC
-from bench.base.forms import FileModel
 from bench.base.units import (
     AngleRad,
     DurationS,
@@ -27,10 +26,11 @@ from bench.base.units import (
     VoltageV,
     parse_quantity,
 )
+from bench.base.yaml_files import FileModel
 from bench.config.procedure.plan import OnFailure, OperatorTime
 from bench.config.procedure.steps import Switching
 from bench.readings.table import UNORIENTED, scan_order
-from drivers.interfaces.person import PromptKind
+from drivers.person import PromptKind
 
 Positive = Annotated[int, Field(ge=1)]
 

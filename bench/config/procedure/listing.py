@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Final, get_args
 
-from bench.base.words import APPROACH, degrees
+from bench.base.text import APPROACH, degrees
 from bench.config.procedure.plan import Plan, Read, Step, Turn
 from bench.config.procedure.steps import scan_in_words
 

@@ -10,8 +10,7 @@ from typing import Any, Final
 
 from bench.base.computing import uncollected
 from bench.base.files import MEGABYTE
-from bench.base.forms import Document, FileMistake, FileMistakes, load_document, part, validated
-from bench.base.yaml_text import Place
+from bench.base.yaml_files import Document, FileMistake, FileMistakes, Place, load_document, part, validated
 from bench.config.procedure.check import check
 from bench.config.procedure.expansion import Expansion
 from bench.config.procedure.file import IncludedFile, ProcedureFile

@@ -29,7 +29,7 @@ from bench.config.procedure.steps import (
     Wait,
     mount_in_words,
 )
-from drivers.interfaces import PromptKind
+from drivers.person import PromptKind
 
 __all__ = ["SETTLING", "Ask", "InputSource", "Level", "Mount", "OnFailure", "OperatorTime", "Plan", "Power", "Read",
            "SelectInput", "SetTemperature", "Settle", "Settled", "Step", "Turn", "Wait"]  # fmt: skip

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from typing import Final, Literal, Protocol, TypeVar
 
 from bench.base.arrays import ARCSEC
-from bench.base.words import APPROACH, degrees, duration
+from bench.base.text import APPROACH, degrees, duration
 from bench.readings.table import REFERENCE, SHORTED
-from drivers.interfaces import Channel, Direction, PromptKind
+from drivers.interfaces import Channel, Direction
+from drivers.person import PromptKind
 
 Settled = Literal["signals", "temperature"]
 InputSource = Literal["signal", "short", "reference"]

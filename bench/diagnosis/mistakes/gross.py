@@ -19,8 +19,7 @@ from bench.diagnosis.mistakes.reinterpretation import (
     other_mountings,
     suppositions,
 )
-from bench.model.block import Block
-from bench.model.geometry import STAND_ANGLES, Installation, specific_force_on_platform
+from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_force_on_platform
 
 SIZES: Final = 10
 """Sizes of each of the two errors that are tried, evenly in their logarithm,"""

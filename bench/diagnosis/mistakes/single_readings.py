@@ -28,7 +28,7 @@ from bench.diagnosis.mistakes.describing import (
     turns,
     weigh,
 )
-from bench.model.block import Block
+from bench.model.geometry import Block
 from bench.readings import mistaken
 
 HEAVY_DOF: Final = 4.0

@@ -1,21 +1,23 @@
-"""The catalogue of effects: every effect that the model knows, by name."""
+"""The catalogue of effects: those of this folder, of installed distributions, and the user's own for a while.
 
+A distribution has the entry-point group `triaxial_bench.effects`; each entry is an `Effect`, a class of one, or a
+module with such classes. The user's own come from a file with formulas, and are known as long as `also` lasts.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Iterable, Iterator, MutableMapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cached_property
 from importlib import import_module
+from inspect import isabstract
+from types import ModuleType
 from typing import Final
 
 from bench.model.effects.base import AppliedEffect, Effect, Parameter, Seen, Stage, Subsystem, Values
-from bench.model.effects.catalogue import Catalogue, effects_of
-from bench.model.effects.expression import ExpressionError
-from bench.model.effects.formula import FormulaEffect
-
-MODULES: Final = (
-    "nonlinear", "hysteresis", "thermal", "supply", "stand", "head", "stand_motion", "slips", "voltmeter",
-)  # fmt: skip
-"""The modules of this folder that have effects, in the order of the catalogue."""
-
-CATALOGUE: Final = Catalogue(
-    effect for module in MODULES for effect in effects_of(import_module(f"{__name__}.{module}"))
-)
+from bench.model.effects.formula import ExpressionError, FormulaEffect
 
 __all__ = [
     "CATALOGUE",
@@ -30,3 +32,116 @@ __all__ = [
     "Subsystem",
     "Values",
 ]
+
+MODULES: Final = ("block", "stand", "voltmeter")
+"""The modules of this folder that have effects, in the order of the catalogue."""
+
+GROUP: Final = "triaxial_bench.effects"
+
+_OWN: ContextVar[tuple[Effect, ...]] = ContextVar("effects_of_the_user", default=())
+
+
+def effects_of(module: ModuleType) -> list[Effect]:
+    """Return one of each effect that a module defines, in its order: the classes in it that have a name."""
+    found = vars(module).values()
+    kinds = [kind for kind in found if isinstance(kind, type) and issubclass(kind, Effect)]
+    return [kind() for kind in kinds if kind.__module__ == module.__name__ and "name" in vars(kind)]
+
+
+class Catalogue(MutableMapping[str, Effect]):
+    """Effects by name, in order: the bench's own, installed ones, then the user's."""
+
+    def __init__(self, shipped: Iterable[Effect]) -> None:
+        self._shipped = {effect.name: effect for effect in shipped}
+        self.troubles: list[str] = []
+        """A sentence for each installed effect that cannot be had, once they were looked for."""
+
+    @cached_property
+    def _known(self) -> dict[str, Effect]:
+        known = dict(self._shipped)
+        for place, effect in self._installed():
+            if effect.name in known:
+                self.troubles.append(f"{place} brings an effect '{effect.name}', and there is one already")
+            else:
+                known[effect.name] = effect
+        return known
+
+    @property
+    def own(self) -> tuple[Effect, ...]:
+        """The user's own that are known now."""
+        return _OWN.get()
+
+    @contextmanager
+    def also(self, effects: Iterable[Effect]) -> Iterator[None]:
+        """Know the user's own effects too, while this lasts; the same one twice is one.
+
+        Raises `ValueError` where two of a name differ, or a name is taken by an effect of the bench.
+        """
+        own = {effect.name: effect for effect in self.own}
+        for effect in effects:
+            if effect.name in self._known:
+                raise ValueError(f"the bench has an effect '{effect.name}' already; give yours another name")
+            if own.setdefault(effect.name, effect) != effect:
+                raise ValueError(
+                    f"two formulas of the name '{effect.name}' differ; rename one, or leave it out"
+                )
+        token = _OWN.set(tuple(own.values()))
+        try:
+            yield
+        finally:
+            _OWN.reset(token)
+
+    def __getitem__(self, name: str) -> Effect:
+        known = self._known
+        if name in known:
+            return known[name]
+        for effect in _OWN.get():
+            if effect.name == name:
+                return effect
+        raise KeyError(name)
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._known
+        yield from (effect.name for effect in _OWN.get())
+
+    def __len__(self) -> int:
+        return len(self._known) + len(_OWN.get())
+
+    def __setitem__(self, name: str, effect: Effect) -> None:
+        self._known[name] = effect
+
+    def __delitem__(self, name: str) -> None:
+        del self._known[name]
+
+    def _installed(self) -> Iterator[tuple[str, Effect]]:
+        """Yield the effects of installed distributions, each with where it comes from."""
+        for entry in importlib.metadata.entry_points(group=GROUP):
+            dist = entry.dist
+            place = (
+                f"the distribution {dist.name} {dist.version}" if dist else f"the entry point {entry.name}"
+            )
+            try:
+                loaded = entry.load()
+                effects = _effects_in(loaded)
+            except (Exception, SystemExit) as error:
+                self.troubles.append(f"{place} cannot be loaded ({type(error).__name__}: {error})")
+                continue
+            if not effects:
+                self.troubles.append(f"{place}: {entry.value} is no effect and has none in it")
+            yield from ((place, effect) for effect in effects)
+
+
+def _effects_in(loaded: object) -> list[Effect]:
+    """Return the effects that an entry point names: itself one, the class of one, or a module with them."""
+    if isinstance(loaded, Effect):
+        return [loaded]
+    if isinstance(loaded, ModuleType):
+        return effects_of(loaded)
+    if isinstance(loaded, type) and issubclass(loaded, Effect) and not isabstract(loaded):
+        return [loaded()]
+    return []
+
+
+CATALOGUE: Final = Catalogue(
+    effect for module in MODULES for effect in effects_of(import_module(f"{__name__}.{module}"))
+)

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 from bench.base.arrays import CHANNELS
 from bench.base.numbers import fixed, places, quantity
-from bench.base.words import APPROACH
-from bench.base.words import duration as exact_duration
+from bench.base.text import APPROACH
+from bench.base.text import duration as exact_duration
 from bench.config.procedure.plan import Mount, Read, Settle, Step, Turn, Wait
 from bench.config.procedure.steps import precision_in_words
 from bench.model.geometry import Installation
@@ -24,7 +24,7 @@ from bench.run.samples import OUTLIER_LEAST
 from bench.run.sentences import duration, in_words
 from bench.run.terminal import TimeLeft
 from drivers.angles import format_dms
-from drivers.interfaces.person import PromptKind
+from drivers.person import PromptKind
 
 
 def prompt_of(asked: AskedPrompt, seen: Seen, installations: Mapping[str, Installation]) -> dict[str, Any]:

@@ -13,8 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.base.forms import FileMistakes
 from bench.base.numbers import without_infinity
+from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.config.procedure.plan import Mount, Plan, Read
 from bench.panel.following.events import Seen, Tail

@@ -10,8 +10,8 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 
-from bench.base.extras import missing
-from bench.base.visible import bounded, visible
+from bench.base.computing import missing
+from bench.base.text import bounded, visible
 from bench.panel import look
 from bench.panel.access import Refusal
 from bench.panel.acting import panel_of, person_of

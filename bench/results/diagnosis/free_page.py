@@ -11,8 +11,8 @@ from markupsafe import Markup
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.numbers import aligned, concise, quantity, rounded, scale_for, typeset
 from bench.diagnosis.free_result import FreeDiagnosis
-from bench.model.block import COEFFICIENTS
 from bench.model.effects import CATALOGUE
+from bench.model.geometry import COEFFICIENTS
 from bench.results.diagnosis import free_words, plots, words
 from bench.results.plots import BLUE, GREY, PASS_COLOURS, PASS_FILLS, VERMILION, legend_of, svg_figure
 from bench.results.tables import Row, symbol

@@ -23,14 +23,14 @@ from bench.model.forward import ForwardModel
 from bench.run.instruments import Instruments
 from drivers.chambers import ChamberLimits
 from drivers.clock import Clock
-from drivers.interfaces.errors import BenchError
-from drivers.interfaces.person import Person
+from drivers.interfaces import BenchError
 from drivers.motion import Travel
-from drivers.wire.causes import Haste
-from drivers.wire.holding import Holding
+from drivers.person import Person
+from drivers.wire.pyvisa_connection import Haste
+from drivers.wire.resources import Holding
 from drivers.wire.visa import MessageSession, SerialSettings, Wire
 from sim.bench import SimulatedMeter
-from sim.keysight_34970a.multiplexer import Probe
+from sim.keysight_34970a import Probe
 from sim.wires.faults import Fault
 from sim.wires.session import Dialect
 from sim.world.operator import OperatorSettings

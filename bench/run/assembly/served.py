@@ -34,10 +34,10 @@ from bench.run.person import NO, problem_with_answer
 from bench.run.runner import Observer
 from drivers.angles import parse_angle
 from drivers.clock import Clock, SystemClock
-from drivers.interfaces import Answer, BenchError, Person, Prompt, WatchingPerson
-from drivers.interfaces.instruments import Voltmeter
-from drivers.wire.causes import Haste
-from drivers.wire.holding import Holding
+from drivers.interfaces import BenchError, Voltmeter
+from drivers.person import Answer, Person, Prompt, WatchingPerson
+from drivers.wire.pyvisa_connection import Haste
+from drivers.wire.resources import Holding
 from drivers.wire.visa import MessageSession, Wire
 from sim.bench import SimulatedBench
 from sim.wires.control import BenchControl

@@ -9,13 +9,23 @@ from functools import partial
 from typing import Final, Protocol, runtime_checkable
 
 from bench.base.arrays import ARCSEC
-from bench.base.words import APPROACH, degrees
+from bench.base.text import APPROACH, degrees
 from bench.config.devices.sections import ChamberForm, MotorisedHeadForm, SupplyForm
 from bench.run.commission.session import Evening, Figure, Finding, NoteWith, State
 from drivers.angles import format_dms
-from drivers.interfaces import BenchError, Direction, DividingHead, LimitExceeded
-from drivers.interfaces.instruments import Inclination, Level, ThermalChamber, Thermometer
-from drivers.interfaces.supply import OutputSettings, PowerSupply, SupplyLimits
+from drivers.interfaces import (
+    BenchError,
+    Direction,
+    DividingHead,
+    Inclination,
+    Level,
+    LimitExceeded,
+    OutputSettings,
+    PowerSupply,
+    SupplyLimits,
+    ThermalChamber,
+    Thermometer,
+)
 from drivers.making_safe import SEE_IT_STANDS, Attempts
 
 LIMITS: Final = "limits"

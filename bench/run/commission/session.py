@@ -14,16 +14,17 @@ from bench.run.events import Wish
 from bench.run.instruments import Instruments
 from bench.run.person import OperatorWish, confirm
 from drivers.clock import Clock, SystemClock
-from drivers.interfaces.errors import (
+from drivers.interfaces import (
     BadReading,
     BenchError,
+    Identity,
+    Instrument,
     InstrumentLost,
     InstrumentRefused,
     LimitExceeded,
     NoAnswer,
 )
-from drivers.interfaces.instruments import Identity, Instrument
-from drivers.interfaces.person import Action, Answer, Person, Prompt, PromptKind
+from drivers.person import Action, Answer, Person, Prompt, PromptKind
 
 
 class State(StrEnum):

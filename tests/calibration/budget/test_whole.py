@@ -16,7 +16,7 @@ from bench.calibration.result import Noise
 from bench.config.bench_file.file import load_bench
 from bench.config.bench_file.stand import RatioError, TemperatureError, VoltageError
 from bench.model import Block, ForwardModel
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import VERIFICATION
 from tests.support.paper_bench import ARCSEC
 from tests.support.whole_truth import CASES, simulate_whole

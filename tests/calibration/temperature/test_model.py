@@ -7,7 +7,7 @@ import pytest
 
 from bench.calibration import CalibrationError, calibrate
 from bench.calibration.temperature.estimate import temperature_model
-from bench.model.block import COEFFICIENTS, Block
+from bench.model.geometry import COEFFICIENTS, Block
 from tests.support.paper_bench import STAND_U, TRUTH
 from tests.support.thermal_bench import MODEL, REFERENCE_C, coefficients, simulate, truth
 

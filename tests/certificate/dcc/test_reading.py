@@ -10,7 +10,7 @@ import yaml
 
 from bench.certificate.dcc.document import document_of
 from bench.config.devices.certificates import HeadCertificate
-from bench.model.block import COEFFICIENTS
+from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import coefficients_of
 from tests.support.schemas import keeps_to
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
 from bench.config.bench_file.traceability import corrections_of, standings, without
 from bench.config.shipped import find_bench

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 

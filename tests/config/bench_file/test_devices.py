@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import foreign_drivers, load_bench, load_recorded_bench
 from bench.config.devices.registry import _loaded, devices
 from bench.config.shipped import find_bench
@@ -24,7 +24,7 @@ from types import ModuleType
 
 from bench.config.devices.device import Device
 from bench.config.devices.voltmeters import OneChannelForm
-from drivers.agilent_34401a import facts as like_it
+from drivers.facts import agilent_34401a as like_it
 
 
 class Section(OneChannelForm):
@@ -38,7 +38,7 @@ DEVICE = Device(
 )
 """
 DRIVER = """
-from drivers.agilent_34401a.driver import Agilent34401A
+from drivers.instruments.agilent_34401a import Agilent34401A
 
 
 class Meter(Agilent34401A):

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
 from bench.config.devices.registry import devices
 from bench.config.shipped import find_bench

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from bench.base.arrays import ARCSEC
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
 from bench.config.bench_file.learned import arcsec, learned_for, load_learned, write_learned
 

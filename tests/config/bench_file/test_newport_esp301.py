@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
 from bench.config.devices.registry import devices
 from tests.support.instrument_stand import written_bench

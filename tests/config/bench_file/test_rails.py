@@ -6,7 +6,7 @@ import json
 import pytest
 import yaml
 
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
 from bench.config.bench_file.rails import DriftForm, UnitSupplySection
 from bench.config.shipped import find_bench

@@ -21,8 +21,8 @@ from bench.config.shipped import find_bench, find_procedure
 from bench.model import ForwardModel
 from bench.run.assembly.served import dry_bench
 from bench.services import until as command
-from drivers.agilent_34401a import facts
-from drivers.agilent_34401a.driver import Agilent34401A
+from drivers.facts import agilent_34401a as facts
+from drivers.instruments.agilent_34401a import Agilent34401A
 from drivers.interfaces import VoltmeterLimits, VoltmeterSettings
 from tests.support.procedure_texts import HEAD, load_steps
 

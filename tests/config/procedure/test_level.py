@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import check, load_procedure
 from bench.config.procedure.plan import Level, Mount, Plan

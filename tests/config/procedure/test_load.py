@@ -4,12 +4,12 @@ from functools import partial
 
 import pytest
 
-from bench.base.forms import sha256_of_file
+from bench.base.yaml_files import sha256_of_file
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import check, load_procedure
 from bench.config.procedure.plan import Ask, Mount, Read, SetTemperature, Turn, Wait
 from bench.config.shipped import find_bench, find_procedure
-from drivers.interfaces import PromptKind
+from drivers.person import PromptKind
 from tests.support.procedure_texts import load_steps, mistakes_in, reads
 
 

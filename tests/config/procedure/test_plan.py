@@ -22,7 +22,7 @@ from bench.config.procedure.plan import (
     Turn,
     Wait,
 )
-from drivers.interfaces import PromptKind
+from drivers.person import PromptKind
 
 STEPS = (
     SetTemperature("0001/temperature", 40.0),

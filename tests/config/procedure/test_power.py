@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.base.forms import FileMistakes
+from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.check import check, switched_before
 from bench.config.procedure.listing import listing

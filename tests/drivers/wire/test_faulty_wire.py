@@ -9,15 +9,15 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.acutrol.driver import AcutrolHead
 from drivers.chambers import ChamberLimits
-from drivers.espec.driver import EspecChamber
+from drivers.instruments.acutrol import AcutrolHead
+from drivers.instruments.espec import EspecChamber
+from drivers.instruments.thermotron import ThermotronChamber
+from drivers.instruments.watlow_f4t import WatlowF4TChamber
+from drivers.instruments.zaber import ZaberHead
 from drivers.interfaces import BenchError, DividingHead, ThermalChamber
 from drivers.motion import Travel
-from drivers.thermotron.driver import ThermotronChamber
-from drivers.watlow_f4t.driver import WatlowF4TChamber
 from drivers.wire.visa import MessageSession
-from drivers.zaber.driver import ZaberHead
 from sim.acutrol import AcutrolTable
 from sim.espec import EspecP300
 from sim.thermotron import Thermotron8800

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from drivers.interfaces import InstrumentRefused
-from drivers.wire.holding import Holding, normalised
+from drivers.wire.resources import Holding, normalised
 from tests.support.patience import PATIENCE_S
 
 HOLDER = """
 import sys
 from pathlib import Path
-from drivers.wire.holding import Holding
+from drivers.wire.resources import Holding
 Holding(Path(sys.argv[1])).take("head", sys.argv[2])
 print("held", flush=True)
 sys.stdin.readline()

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bench.cli.app import main
-from drivers.wire.log import WireLog, escaped, logged_wire
+from drivers.wire.replay import WireLog, escaped, logged_wire
 
 FULL = Path("/dev/full")
 LINE = re.compile(

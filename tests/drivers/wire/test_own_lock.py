@@ -10,8 +10,7 @@ from pyvisa.constants import StatusCode
 from pyvisa.errors import VisaIOError
 from pyvisa.resources import TCPIPInstrument, TCPIPSocket
 
-from drivers.wire.causes import probable_cause
-from drivers.wire.pyvisa_connection import Connection
+from drivers.wire.pyvisa_connection import Connection, probable_cause
 
 
 def connection(kind: type[Any], answer: BaseException | None = None) -> Connection:

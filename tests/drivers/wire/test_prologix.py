@@ -10,10 +10,10 @@ from contextlib import ExitStack, contextmanager
 import numpy as np
 import pytest
 
-from drivers.agilent_34401a.driver import Agilent34401A as Driver
+from drivers.instruments.agilent_34401a import Agilent34401A as Driver
 from drivers.interfaces import InstrumentLost, VoltmeterSettings
-from drivers.wire.causes import WireError
 from drivers.wire.prologix import parse
+from drivers.wire.pyvisa_connection import WireError
 from drivers.wire.visa import MessageSession
 from sim.agilent_34401a.meter import Agilent34401A
 from sim.bench import SimulatedBench

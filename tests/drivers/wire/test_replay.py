@@ -12,17 +12,16 @@ from pathlib import Path
 
 import pytest
 
-from drivers.agilent_34401a.driver import Agilent34401A
 from drivers.chambers import ChamberLimits
 from drivers.clock import Clock
-from drivers.espec.driver import EspecChamber
+from drivers.instruments.agilent_34401a import Agilent34401A
+from drivers.instruments.espec import EspecChamber
+from drivers.instruments.keysight_34461a import Keysight34461A
+from drivers.instruments.zaber import ZaberHead
 from drivers.interfaces import BadReading, BenchError, InstrumentLost, VoltmeterSettings
-from drivers.keysight_34461a.driver import Keysight34461A
 from drivers.motion import Travel
-from drivers.wire.log import WireLog
-from drivers.wire.replay import Deviation, Replay, WireLogError, exchanges, main, read_log, replayed
+from drivers.wire.replay import Deviation, Replay, WireLog, WireLogError, exchanges, main, read_log, replayed
 from drivers.wire.visa import MessageSession
-from drivers.zaber.driver import ZaberHead
 from sim.agilent_34401a.meter import Agilent34401A as SimulatedMeter
 from sim.world.world import Terminals
 from tests.drivers.wire.test_faulty_wire import CHAMBERS, DEG, HEADS, at_random, dialect

@@ -21,16 +21,17 @@ from bench.config.shipped import find_bench
 from bench.model import ForwardModel
 from bench.run.assembly.instruments import on_terminals
 from bench.run.assembly.served import served_bench
-from drivers.acutrol.driver import AcutrolHead
-from drivers.espec.driver import EspecChamber
-from drivers.interfaces import InstrumentRefused, LimitExceeded, Prompt, PromptKind
-from drivers.keysight_34970a.driver import Keysight34970A
+from drivers.instruments.acutrol import AcutrolHead
+from drivers.instruments.espec import EspecChamber
+from drivers.instruments.keysight_34970a import Keysight34970A
+from drivers.instruments.thermotron import ThermotronChamber
+from drivers.instruments.watlow_f4t import WatlowF4TChamber
+from drivers.instruments.zaber import ZaberHead
+from drivers.interfaces import InstrumentRefused, LimitExceeded
 from drivers.motion import Travel
-from drivers.thermotron.driver import ThermotronChamber
-from drivers.watlow_f4t.driver import WatlowF4TChamber
-from drivers.wire.causes import WireError
+from drivers.person import Prompt, PromptKind
 from drivers.wire.prologix import parse
-from drivers.zaber.driver import ZaberHead
+from drivers.wire.pyvisa_connection import WireError
 from sim.wires.server import TERMINALS
 from tests.support.composed_bench import composing, edited, read
 from tests.support.patience import PATIENCE_S

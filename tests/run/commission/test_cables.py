@@ -7,7 +7,7 @@ from bench.config.shipped import find_bench
 from bench.run.commission.course import cables, check_cables
 from bench.run.commission.session import State
 from bench.run.instruments import Instruments
-from drivers.manual.head import ManualHead
+from drivers.instruments.manual import ManualHead
 from sim.world.clock import VirtualClock
 from tests.support.commission_bench import Head, Says, evening, lost, meters
 

@@ -9,8 +9,8 @@ from bench.run.commission.session import Evening, State
 from bench.run.events import Wish
 from bench.run.instruments import Instruments
 from bench.run.person import OperatorWish, RunControl
+from drivers.instruments.manual import ManualHead
 from drivers.interfaces import InstrumentLost, InstrumentRefused
-from drivers.manual.head import ManualHead
 from sim.world.clock import VirtualClock
 from tests.support.commission_bench import Head, Says, evening, meters, motorised
 

@@ -14,7 +14,7 @@ from bench.model import Block, ForwardModel
 from bench.model.geometry import INSTALLATION_1
 from sim.agilent_34401a.meter import Agilent34401A
 from sim.bench import SimulatedBench
-from sim.scpi.instrument import never
+from sim.scpi import never
 from sim.wires.faults import Fault, FaultKind, FaultyInstrument
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings

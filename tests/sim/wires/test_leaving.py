@@ -7,7 +7,7 @@ import pytest
 
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1
-from sim.agilent_34401a import line
+from sim import voltmeters as line
 from sim.bench import SimulatedBench, SimulatedMeter
 from sim.keithley_2000 import Keithley2000
 from sim.world.clock import ScaledClock

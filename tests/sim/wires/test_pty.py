@@ -17,8 +17,8 @@ import pyvisa
 
 from bench.model import Block, ForwardModel
 from bench.model.geometry import INSTALLATION_1
-from drivers.agilent_34401a.driver import Agilent34401A as Driver
 from drivers.clock import SystemClock
+from drivers.instruments.agilent_34401a import Agilent34401A as Driver
 from drivers.interfaces import VoltmeterSettings
 from drivers.wire.visa import MessageSession
 from sim.agilent_34401a.meter import Agilent34401A

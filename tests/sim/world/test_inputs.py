@@ -8,7 +8,7 @@ import pytest
 from bench.model import AppliedEffect, Block, ForwardModel
 from bench.model.effects import Effect, Parameter, Stage
 from bench.model.geometry import INSTALLATION_1
-from drivers.interfaces import Prompt, PromptKind
+from drivers.person import Prompt, PromptKind
 from sim.world.clock import VirtualClock
 from sim.world.operator import OperatorSettings, ScriptedOperator
 from sim.world.world import World, WorldSettings

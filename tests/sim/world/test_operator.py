@@ -9,8 +9,9 @@ import pytest
 from bench.base.arrays import ARCSEC
 from bench.model import Block, Distribution, ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
-from drivers.interfaces import NoAnswer, Prompt, PromptKind
-from drivers.manual.head import ManualHead
+from drivers.instruments.manual import ManualHead
+from drivers.interfaces import NoAnswer
+from drivers.person import Prompt, PromptKind
 from sim.world.clock import VirtualClock
 from sim.world.operator import LOOK_S, OperatorSettings, ScriptedOperator, scale_text
 from sim.world.world import World, WorldSettings

@@ -1,0 +1,558 @@
+"""YAML that people write: read without tags, and its mistakes told with line and remedy."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import sys
+import types
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import islice
+from pathlib import Path
+from typing import Annotated, Any, Final, TypeVar, Union, get_args, get_origin
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
+from yaml.composer import ComposerError
+from yaml.events import (
+    AliasEvent,
+    CollectionEndEvent,
+    CollectionStartEvent,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    StreamEndEvent,
+)
+
+from bench.base.files import MEGABYTE, read_regular
+from bench.base.text import QUOTED, shortened
+
+# --- YAML text --------------------------------------------------------------------------------------
+
+Place = tuple[str | int, ...]
+"""Where in a file: keys and positions in lists (from 0), such as ("steps", 0, "turn")."""
+
+MOST_TOLD: Final = 200
+"""Mistakes of one file that are told; mending those shows the rest."""
+
+_EXPECTED: Final = {
+    "int_parsing": "a whole number",
+    "int_parsing_size": "a whole number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_parsing": "a number",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "bool_parsing": "yes or no",
+    "bool_type": "yes or no",
+    "string_type": "a text",
+    "string_too_short": "a text that is not empty",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "keys with values",
+    "model_type": "keys with values",
+    "model_attributes_type": "keys with values",
+    "greater_than": "more than {gt}",
+    "greater_than_equal": "{ge} or more",
+    "less_than": "less than {lt}",
+    "less_than_equal": "{le} or less",
+    "too_short": "a list of at least {min_length}",
+    "too_long": "a list of at most {max_length}",
+}
+
+
+def explained(
+    error: ValidationError, model: type[BaseModel], lines: Mapping[Place, int]
+) -> Iterator[tuple[Place, str]]:
+    """Yield the place and the sentence of each error; `lines` says which places were written.
+
+    A key that is missing because it was misspelt is told once, as the misspelt one.
+    """
+    details = error.errors()[:MOST_TOLD]
+    misspelt = {
+        (*detail["loc"][:-1], _nearest(str(detail["loc"][-1]), _keys(model, detail["loc"][:-1])))
+        for detail in details
+        if detail["type"] == "extra_forbidden"
+    }
+    for detail in details:
+        place = _written(detail["loc"], lines)
+        match detail["type"]:
+            case "missing":
+                if detail["loc"] not in misspelt:
+                    yield place, f"'{detail['loc'][-1]}' is missing"
+            case "extra_forbidden":
+                yield place, unknown_word(str(place[-1]), sorted(_keys(model, detail["loc"][:-1])), "key")
+            case "literal_error" | "enum":
+                yield place, _wrong_word(detail)
+            case "too_short" if len(detail["input"]) >= (detail.get("ctx") or {})["min_length"]:
+                pass  # the list was long enough: its members are wrong, and told by themselves
+            case _:
+                yield place, _wrong_value(detail)
+
+
+def unknown_word(word: str, known: list[str], what: str) -> str:
+    """Return the sentence for a word that is not known, with the nearest one that is."""
+    if word in known:
+        return f"'{word}' does not go with the other keys here; leave it or those out"
+    near = _nearest(word, known)
+    hint = f"did you mean '{near}'? " if near else ""
+    return f"unknown {what} '{shortened(word)}'; {hint}known: {', '.join(known)}"
+
+
+def _nearest(word: str, known: Iterable[str]) -> str | None:
+    if len(word) > QUOTED:
+        return None
+    near = difflib.get_close_matches(word, sorted(known), n=1, cutoff=0.5)
+    return near[0] if near else None
+
+
+def _written(location: tuple[int | str, ...], lines: Mapping[Place, int]) -> Place:
+    """Keep the parts of a location that stand in the file: pydantic adds the names of alternatives."""
+    place: Place = ()
+    for step in location:
+        if (*place, step) in lines:
+            place = (*place, step)
+    return place
+
+
+def _got(value: object) -> str:
+    match value:
+        case dict():
+            return "keys with values"
+        case list():
+            return f"a list of {len(value)}"
+        case None:
+            return "nothing"
+        case _:
+            return f"'{shortened(str(value))}'"
+
+
+def _wrong_word(detail: ErrorDetails) -> str:
+    context: dict[str, Any] = detail.get("ctx") or {}
+    expected = str(context.get("expected", "")).replace("'", "")
+    known = [word.strip() for word in expected.replace(" or ", ",").split(",")]
+    near = _nearest(str(detail["input"]), known)
+    hint = f"; did you mean '{near}'?" if near else ""
+    return f"expected {expected}, got {_got(detail['input'])}{hint}"
+
+
+def _wrong_value(detail: ErrorDetails) -> str:
+    context: dict[str, Any] = detail.get("ctx") or {}
+    if detail["type"] == "value_error":
+        return str(context["error"])
+    if detail["type"] in _EXPECTED:
+        expected = _EXPECTED[detail["type"]].format(**context)
+        return f"expected {expected}, got {_got(detail['input'])}"
+    return f"{detail['msg'][:1].lower()}{detail['msg'][1:]}, got {_got(detail['input'])}"
+
+
+def _keys(annotation: Any, location: tuple[int | str, ...]) -> set[str]:
+    """Return the keys that may stand at a location of a model, aliases as they are written."""
+    models = list(_models(annotation))
+    for position, step in enumerate(location):
+        named = [m.model_fields for m in models]
+        fields = [f for m in named for name, f in m.items() if step in {name, f.alias}]
+        if fields:
+            rest = location[position + 1 :]
+            return set().union(*(_keys(f.annotation, rest) for f in fields))
+        chosen = [m for m in models if any(step in get_args(f.annotation) for f in m.model_fields.values())]
+        models = chosen or models  # the step is the word that chose among alternatives, such as a driver
+    return {f.alias or name for m in models for name, f in m.model_fields.items()}
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the models that an annotation can hold: itself, alternatives, members of lists and mappings."""
+    if isinstance(annotation, type) and not get_args(annotation) and issubclass(annotation, BaseModel):
+        annotation.model_rebuild()  # names of models that its file defines further down become those models
+        yield from getattr(annotation, "alternatives", tuple)() or (annotation,)
+    elif get_origin(annotation) is Annotated:
+        yield from _models(get_args(annotation)[0])
+    elif get_origin(annotation) in {Union, types.UnionType, list, tuple, dict}:
+        for argument in get_args(annotation):
+            yield from _models(argument)
+
+
+MOST_DEEP: Final = 100
+"""Lists and mappings in each other; a procedure of ours has about twenty."""
+
+_PLAIN_TAGS: Final = frozenset(
+    f"tag:yaml.org,2002:{name}"
+    for name in ("str", "int", "float", "bool", "null", "timestamp", "seq", "map", "merge", "value")
+)
+_NULL: Final = "tag:yaml.org,2002:null"
+_NULLS: Final = frozenset({"", "~", "null", "Null", "NULL"})
+"""What stands for nothing where it is written without quotes."""
+
+_Parser: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""In C where it is there."""
+
+
+class TooDeep(yaml.MarkedYAMLError):
+    """Lists and mappings stand too deep in each other."""
+
+
+@dataclass
+class Written:
+    """What a text says: `data` of mappings, lists and texts (None for nothing), the line of every place.
+
+    `slips` are what YAML allows and we do not, each with its line, its place and a sentence.
+    """
+
+    data: Any = None
+    lines: dict[Place, int] = field(default_factory=dict)
+    slips: list[tuple[int, Place, str]] = field(default_factory=list)
+
+
+def read_yaml(text: str) -> Written:
+    """Read a text; `lines` stays empty where there are no slips. Raises `yaml.YAMLError` for what is no YAML."""
+    try:
+        return Written(_Reader(text, None).document())
+    except _Slipped:
+        return read_yaml_with_lines(text)
+
+
+def read_yaml_with_lines(text: str) -> Written:
+    """Read a text with the line of every place. Raises `yaml.YAMLError` for what is no YAML."""
+    found = Written()
+    found.data = _Reader(text, found).document()
+    return found
+
+
+class _Slipped(Exception):
+    """There are slips, which are told with lines."""
+
+
+class _Reader:
+    """Goes through the events of a text once; without `noting`, raises `_Slipped` at the first slip."""
+
+    def __init__(self, text: str, noting: Written | None) -> None:
+        self._next: Callable[[], Any] = _Parser(text).get_event
+        self._noting = noting
+        self._anchors: dict[str, Any] = {}
+
+    def document(self) -> Any:
+        """Return what the text's one document says; None where it is empty."""
+        self._next()  # the stream's beginning
+        begun = self._next()
+        if isinstance(begun, StreamEndEvent):
+            return None
+        first = self._next()
+        if self._noting is not None:
+            self._noting.lines[()] = _line(first)
+        data = self._value(first, (), 0)
+        self._next()  # the document's end
+        if not isinstance(after := self._next(), StreamEndEvent):
+            raise ComposerError(
+                "expected a single document in the stream",
+                begun.start_mark,
+                "but found another document",
+                after.start_mark,
+            )
+        return data
+
+    def _value(self, event: Any, place: Place, deep: int) -> Any:
+        """Return what begins with an event."""
+        if deep >= MOST_DEEP:
+            raise _too_deep(event)
+        if event.anchor is not None:
+            self._anchor(event)
+            if isinstance(event, AliasEvent):
+                line = self._anchors[event.anchor].line + 1
+                self._slip(
+                    line, place, "anchors and aliases (& and *) are not understood here; write the value out"
+                )
+                return None
+        tag = event.tag
+        if tag is not None and tag not in _PLAIN_TAGS and tag != "!":
+            self._slip(_line(event), place, f"the tag {tag!r} is not understood; leave it out")
+        if isinstance(event, ScalarEvent):
+            text = event.value
+            is_nothing = tag == _NULL or (text in _NULLS and tag in _UNTOLD and event.implicit[0])
+            return None if is_nothing else text
+        if isinstance(event, MappingStartEvent):
+            return self._mapping(place, deep + 1)
+        return self._list(place, deep + 1)
+
+    def _list(self, place: Place, deep: int) -> list[Any]:
+        items: list[Any] = []
+        while not isinstance(event := self._next(), SequenceEndEvent):
+            inside = place
+            if self._noting is not None:
+                inside = (*place, len(items))
+                self._noting.lines[inside] = _line(event)
+            items.append(self._value(event, inside, deep))
+        return items
+
+    def _mapping(self, place: Place, deep: int) -> dict[str, Any]:
+        mapping: dict[str, Any] = {}
+        while not isinstance(key := self._next(), MappingEndEvent):
+            if not isinstance(key, ScalarEvent):
+                self._slip(_line(key), place, "a key must be a plain word")
+                self._pass_over(key, deep)
+                self._pass_over(self._next(), deep)
+                continue
+            if key.anchor is not None:
+                self._anchor(key)
+            name, inside = sys.intern(key.value), place
+            if name in mapping:
+                self._slip_again(_line(key), place, name)
+                self._pass_over(self._next(), deep)
+                continue
+            if self._noting is not None:
+                inside = (*place, name)
+                self._noting.lines[inside] = _line(key)
+            mapping[name] = self._value(self._next(), inside, deep)
+        return mapping
+
+    def _pass_over(self, event: Any, deep: int) -> None:
+        """Leave out what begins with an event, but for its anchors."""
+        open_ones = 0
+        while True:
+            if deep + open_ones >= MOST_DEEP:
+                raise _too_deep(event)
+            if getattr(event, "anchor", None) is not None:
+                self._anchor(event)
+            open_ones += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+            if not open_ones:
+                return
+            event = self._next()
+
+    def _anchor(self, event: Any) -> None:
+        """Keep where an anchor stands; refuse a second one of its name, and an alias for none."""
+        first, here = self._anchors.get(event.anchor), event.start_mark
+        if isinstance(event, AliasEvent):
+            if first is None:
+                raise ComposerError(None, None, f"found undefined alias {event.anchor!r}", here)
+            return
+        if first is not None:
+            about = f"found duplicate anchor {event.anchor!r}; first occurrence"
+            raise ComposerError(about, first, "second occurrence", here)
+        self._anchors[event.anchor] = here
+
+    def _slip_again(self, line: int, place: Place, name: str) -> None:
+        first = self._noting.lines[(*place, name)] if self._noting is not None else 0
+        self._slip(line, place, f"'{name}' stands here a second time, first in line {first}; leave one out")
+
+    def _slip(self, line: int, place: Place, text: str) -> None:
+        if self._noting is None:
+            raise _Slipped
+        self._noting.slips.append((line, place, text))
+
+
+def _line(event: Any) -> int:
+    return int(event.start_mark.line) + 1
+
+
+def _too_deep(event: Any) -> TooDeep:
+    problem = f"lists and keys stand more than {MOST_DEEP} deep in each other"
+    return TooDeep(problem=problem, problem_mark=event.start_mark)
+
+
+_UNTOLD: Final = (None, "!")
+"""Tags that say nothing."""
+
+
+# --- files with a model -----------------------------------------------------------------------------
+# Scalars keep the text that was written (`serial: 0012` stays "0012", `3e-4 g` a quantity); the models of
+# `bench.config.bench_file.file` and others say what each must be.
+
+_SHORT: Final = 100_000
+"""Characters of a text that is read a second time for a better sentence about what is wrong with it."""
+
+
+@dataclass(frozen=True, order=True)
+class FileMistake:
+    """One mistake: line (1…, 0 where there is none), place ("stand.axis_tilt.limit"), what is wrong.
+
+    `file` is the included file that it stands in, empty for the file that was asked for.
+    """
+
+    line: int
+    place: str
+    text: str
+    file: str = ""
+
+
+class FileMistakes(Exception):
+    """A file that cannot be used. Its text has a line for each mistake: "file:line: place: what is wrong"."""
+
+    def __init__(self, path: Path | str, mistakes: Iterable[FileMistake]) -> None:
+        self.path = Path(path)
+        self.mistakes = tuple(mistakes)
+        super().__init__("\n".join(self._sentence(mistake) for mistake in self.mistakes))
+
+    def _sentence(self, mistake: FileMistake) -> str:
+        where = f"{mistake.file or self.path}" + (f":{mistake.line}" if mistake.line else "")
+        return ": ".join(part for part in (where, mistake.place, mistake.text) if part)
+
+
+class FileModel(BaseModel):
+    """Base of everything that a file may say: frozen, an unknown key is a mistake, no NaN or infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, str_min_length=1)
+
+    @classmethod
+    def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
+        """Yield mistakes that are between parts of the file, each with its place; none for most.
+
+        `data` is the file as written, with whatever else is wrong in it: what cannot be read is passed over.
+        """
+        return ()
+
+    @classmethod
+    def alternatives(cls) -> Iterable[type[FileModel]]:
+        """Return the models one of which stands where this one is named, by a word in it; none for most."""
+        return ()
+
+
+@dataclass
+class Document:
+    """A file's content: mappings, lists and texts (None for nothing), and the `text` that says so."""
+
+    path: Path
+    data: Any
+    sha256: str
+    text: str
+    mistakes: list[FileMistake] = field(default_factory=list)
+
+    @cached_property
+    def lines(self) -> dict[Place, int]:
+        """The line of every place; the text is read again for it, since most files have no mistake to tell."""
+        return read_yaml_with_lines(self.text).lines
+
+    def line_of(self, place: Place) -> int:
+        """Return the line of a place, or of the nearest place around it that was written."""
+        for end in range(len(place), -1, -1):
+            if place[:end] in self.lines:
+                return self.lines[place[:end]]
+        return 0
+
+    def mistake(self, place: Place, text: str) -> FileMistake:
+        """Return a mistake at a place of this file."""
+        return FileMistake(self.line_of(place), dotted(place), text)
+
+
+def dotted(place: Place) -> str:
+    """Return a place as a person reads it: `instruments.voltmeters[1].resource`, lists counted from 1."""
+    path = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in place)
+    return path.removeprefix(".")
+
+
+def sha256_of_file(path: Path) -> str:
+    """Return the SHA-256 of the file's bytes, in hexadecimal."""
+    return hashlib.sha256(read_regular(path)).hexdigest()
+
+
+# --- reading ----------------------------------------------------------------------------------------
+
+
+def load_document(path: Path, most_bytes: int = MEGABYTE) -> Document:
+    """Read a file with its lines; duplicate keys, aliases and tags are noted in `mistakes`.
+
+    Raises `FileMistakes` where the file is missing, is no regular file, has more than `most_bytes`, is not UTF-8
+    text, is empty or is not YAML.
+    """
+    content = _content(path, most_bytes)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise _unusable(path, "the file is not UTF-8 text; save it as UTF-8 and try again", line) from None
+    try:
+        written = read_yaml(text)
+    except yaml.YAMLError as error:
+        raise _not_yaml(path, text, error) from None
+    if written.data is None:
+        raise _unusable(path, "the file is empty; 'bench init' writes files to start from")
+    mistakes = [FileMistake(line, dotted(place), told) for line, place, told in written.slips]
+    return Document(path, written.data, hashlib.sha256(content).hexdigest(), text, mistakes)
+
+
+def _content(path: Path, most_bytes: int) -> bytes:
+    try:
+        return read_regular(path, most_bytes)
+    except FileNotFoundError:
+        text = "there is no such file; check the name"
+    except IsADirectoryError:
+        text = "this is a folder; name a file in it"
+    except OSError as error:
+        text = f"the file cannot be read ({error.strerror})"
+    raise _unusable(path, text)
+
+
+def _unusable(path: Path, text: str, line: int = 0) -> FileMistakes:
+    return FileMistakes(path, [FileMistake(line, "", text)])
+
+
+def _not_yaml(path: Path, text: str, error: yaml.YAMLError) -> FileMistakes:
+    if len(text) <= _SHORT and not isinstance(error, TooDeep):
+        try:
+            yaml.compose(text, Loader=yaml.SafeLoader)
+        except yaml.YAMLError as better_told:
+            error = better_told
+        except RecursionError:
+            pass
+    if not isinstance(error, yaml.MarkedYAMLError):
+        reason = str(error).splitlines()[0] if str(error) else "it cannot be read"
+        return _unusable(path, f"this is not YAML: {reason}")
+    mark = error.problem_mark or error.context_mark
+    context = f" {error.context}" if error.context else ""
+    problem = f"this is not YAML: {error.problem or 'it cannot be read'}{context}"
+    return _unusable(path, _hinted(problem), mark.line + 1 if mark else 0)
+
+
+def _hinted(problem: str) -> str:
+    """Add what usually is behind the parser's complaint."""
+    if "'\\t'" in problem:
+        return f"{problem}; indent with spaces, not with tabs"
+    if "mapping values are not allowed" in problem:
+        return f"{problem}; put a text with a colon in quotes, and check the indentation"
+    if "expected <block end>" in problem:
+        return f"{problem}; check the indentation of this line"
+    return problem
+
+
+# --- validating -------------------------------------------------------------------------------------
+
+Model = TypeVar("Model", bound=FileModel)
+
+
+def load_validated(path: Path, model: type[Model]) -> Model:
+    """Read a file and return it as `model`. Raises `FileMistakes` with every mistake in it."""
+    return validated(load_document(path), model)
+
+
+def validated(document: Document, model: type[Model]) -> Model:
+    """Return a document's content as `model`. Raises `FileMistakes` with every mistake in it."""
+    mistakes = list(document.mistakes)
+    result = None
+    try:
+        result = model.model_validate(document.data)
+    except ValidationError as error:
+        mistakes += [document.mistake(place, text) for place, text in explained(error, model, document.lines)]
+    crossed = islice(model.cross_checks(document.data), MOST_TOLD)
+    mistakes += [document.mistake(place, text) for place, text in crossed]
+    if result is None or mistakes:
+        raise FileMistakes(document.path, _told(sorted(set(mistakes))))
+    return result
+
+
+def _told(mistakes: list[FileMistake]) -> list[FileMistake]:
+    if len(mistakes) < MOST_TOLD:
+        return mistakes
+    last = FileMistake(mistakes[-1].line, "", "there are more mistakes; they are told when these are mended")
+    return [*mistakes[: MOST_TOLD - 1], last]
+
+
+def part(data: Any, *place: str | int) -> Any:
+    """Return what stands at a place below `data`, or None where there is nothing (for cross checks)."""
+    for step in place:
+        entries = dict(enumerate(data)) if isinstance(data, list) else data
+        if not isinstance(entries, dict) or step not in entries:
+            return None
+        data = entries[step]
+    return data

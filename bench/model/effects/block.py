@@ -1,0 +1,355 @@
+"""Effects in the block: nonlinearity, hysteresis, temperature, supply."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import HOUR, MINUTE, Floats
+from bench.model.conditions import Conditions, HeadPath, head_path
+from bench.model.effects.base import BlockEffect, Parameter, Seen, Values
+
+# --- nonlinearity -----------------------------------------------------------------------------------
+# The forms are those of the model equation in IEEE Std 1293-2018; i is a channel's own axis, j and k the
+# next two in the order x, y, z, x.
+
+
+def _size(name: str, unit: str, plausible: float) -> Parameter:
+    """A coefficient of each channel, in ug per some power of g."""
+    return Parameter(name, unit, 1e-6, plausible, per_channel=True)
+
+
+def _others(force: Floats) -> tuple[Floats, Floats]:
+    """Return a_j and a_k of each channel, (n, 3) each."""
+    return np.roll(force, -1, axis=1), np.roll(force, -2, axis=1)
+
+
+class QuadraticNonlinearity(BlockEffect):
+    """K2 a_i^2: the output grows with the square of the input along the own axis."""
+
+    name = "quadratic_nonlinearity"
+    parameters = (_size("K2", "ug/g^2", 30e-6),)
+    sentence = "the output of the accelerometer has a part that grows with the square of the acceleration"
+    shown_by = "12 or more angles in a turn; a centrifuge above 1 g"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii K2_i a_i^2 in volts, shape (n, 3)."""
+        return seen.scale * values["K2"] * seen.signal**2
+
+
+class CubicNonlinearity(BlockEffect):
+    """K3 a_i^3."""
+
+    name = "cubic_nonlinearity"
+    parameters = (_size("K3", "ug/g^3", 20e-6),)
+    sentence = (
+        "the output of the accelerometer has a part that grows with the third power of the acceleration"
+    )
+    shown_by = "12 or more angles in a turn; a centrifuge above 1 g"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii K3_i a_i^3 in volts, shape (n, 3)."""
+        return seen.scale * values["K3"] * seen.signal**3
+
+
+class OddQuadraticNonlinearity(BlockEffect):
+    """Koq a_i |a_i|."""
+
+    name = "odd_quadratic_nonlinearity"
+    parameters = (_size("Koq", "ug/g^2", 20e-6),)
+    sentence = "the output of the accelerometer has a part like the square of the acceleration with its sign"
+    shown_by = "12 or more angles in a turn; a centrifuge above 1 g"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii Koq_i a_i |a_i| in volts, shape (n, 3)."""
+        return seen.scale * values["Koq"] * seen.signal * np.abs(seen.signal)
+
+
+class ScaleAsymmetry(BlockEffect):
+    """Kabs |a_i|: another scale factor for positive than for negative input."""
+
+    name = "scale_asymmetry"
+    parameters = (_size("Kabs", "ug/g", 30e-6),)
+    sentence = "the scale factor of the accelerometer is not the same for positive and negative acceleration"
+    shown_by = "12 or more angles in a turn"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii Kabs_i |a_i| in volts, shape (n, 3)."""
+        return seen.scale * values["Kabs"] * np.abs(seen.signal)
+
+
+class CrossCoupling(BlockEffect):
+    """Kip a_i a_j + Kio a_i a_k + Kpo a_j a_k."""
+
+    name = "cross_coupling"
+    parameters = tuple(_size(name, "ug/g^2", 20e-6) for name in ("Kip", "Kio", "Kpo"))
+    sentence = "the output of the accelerometer has a part with the product of the accelerations on two axes"
+    shown_by = "installations in which all three axes of the block feel gravity; a remount turned by 90 deg"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii (Kip_i a_i a_j + Kio_i a_i a_k + Kpo_i a_j a_k) in volts, shape (n, 3)."""
+        a_j, a_k = _others(seen.signal)
+        products = (
+            values["Kip"] * seen.signal * a_j + values["Kio"] * seen.signal * a_k + values["Kpo"] * a_j * a_k
+        )
+        return seen.scale * products
+
+
+class CrossQuadratic(BlockEffect):
+    """Kpp a_j^2 + Koo a_k^2."""
+
+    name = "cross_quadratic"
+    parameters = tuple(_size(name, "ug/g^2", 20e-6) for name in ("Kpp", "Koo"))
+    sentence = (
+        "the output of the accelerometer has a part with the square of the acceleration across its axis"
+    )
+    shown_by = "a third installation; at 1 g it is the same as a square along the own axis and a bias"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii (Kpp_i a_j^2 + Koo_i a_k^2) in volts, shape (n, 3)."""
+        a_j, a_k = _others(seen.signal)
+        return seen.scale * (values["Kpp"] * a_j**2 + values["Koo"] * a_k**2)
+
+
+# --- hysteresis -------------------------------------------------------------------------------------
+# The way between two settings is the head's shortest turn; where the head arrives from the other side, it
+# turns past the setting first. Angles are those on the scale and installations the nominal ones: errors of
+# the stand within their limits do not make a branch flip.
+
+SLOW: Final = 0.05
+"""Change of specific force with angle, g/rad, below which its sign no longer counts."""
+
+
+class Hysteresis(BlockEffect):
+    """A signed step (no width), or a play of the given half width; saturated it is the size with its sign."""
+
+    name = "hysteresis"
+    parameters = (
+        Parameter("size", "ug", 1e-6, plausible=20e-6, per_channel=True),
+        Parameter(
+            "width_g", "g", 1.0, plausible=0.25, per_channel=False, grid=(0.0, 0.1, 0.25, 0.5, 0.8), default=0.0
+        ),
+    )  # fmt: skip
+    sentence = "the output of the accelerometer depends on the side from which the acceleration came"
+    shown_by = "both directions of approach"
+    needs_history = True
+    needs_path = True
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii times size times the state of the channel (-1 to 1) in volts, shape (n, 3).
+
+        Raises `ValueError` when the conditions do not say how the block sits (`Conditions.turns`).
+        """
+        width_g = float(values["width_g"])
+        kept = seen.conditions.memory
+        if (self.name, width_g) not in kept:
+            kept[self.name, width_g] = state(seen.conditions, width_g)
+        return np.asarray(seen.scale * values["size"] * kept[self.name, width_g])
+
+
+def state(conditions: Conditions, width_g: float) -> Floats:
+    """Return how far each channel is to one side of its loop, -1 to 1, shape (n, 3); +1 after a long rise.
+
+    Rows without an angle or in an unknown installation have 0 and do not count as settings.
+    """
+    path = head_path(conditions)
+    result = np.zeros((len(conditions), 3))
+    if len(path.rows) == 0:
+        return result
+    # nominal force on a channel: sine part times sin(phi) + cosine part times cos(phi)
+    sine, cosine = np.moveaxis(path.sits[:, :, [0, 2]], 2, 0)
+    if width_g > 0.0:
+        result[path.rows] = _play(path, sine, cosine, width_g)
+    else:
+        end = path.end[:, None]
+        rate = path.direction[:, None] * (sine * np.cos(end) - cosine * np.sin(end))
+        result[path.rows] = np.tanh(rate / SLOW)
+    return result
+
+
+def _play(path: HeadPath, sine: Floats, cosine: Floats, width_g: float) -> Floats:
+    """Return the state of a play operator of half width `width_g` at the end of each path, shape (m, 3)."""
+    stops = np.concatenate(
+        [_extremes(path.start, path.turn, sine, cosine), _extremes(path.turn, path.end, sine, cosine)]
+    )
+    first = sine * np.sin(path.start)[:, None] + cosine * np.cos(path.start)[:, None]
+    low, high = stops - width_g, stops + width_g
+    reached = np.empty_like(first)
+    slack = first[0]
+    for i, begins in enumerate(path.begins):
+        if begins:
+            slack = first[i]
+        for k in range(len(stops)):
+            slack = np.minimum(np.maximum(slack, low[k, i]), high[k, i])
+        reached[i] = slack
+    return np.asarray((stops[-1] - reached) / width_g)
+
+
+def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Floats:
+    """Return the forces at which a turn changes their sense, and at its end, in g, shape (3, m, 3).
+
+    Between these the force only rises or only falls, and nothing else matters to a play operator. A turn of
+    half a circle and a little has two extremes at most; where it has fewer, the end stands in their place.
+    """
+    amplitude, phase = np.hypot(sine, cosine), np.arctan2(sine, cosine)
+    sense = np.sign(end - start)[:, None]
+    # in half turns from an extreme, along the sense of the turn
+    first = np.ceil(sense * (start[:, None] - phase) / np.pi)
+    last = np.where(sense == 0.0, -np.inf, sense * (end[:, None] - phase) / np.pi)
+    at_end = amplitude * np.cos(end[:, None] - phase)
+    stops = [np.where(first + k <= last, amplitude * np.cos((first + k) * np.pi), at_end) for k in (0, 1)]
+    return np.stack([*stops, at_end])
+
+
+# --- temperature ------------------------------------------------------------------------------------
+
+
+def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
+    """Return a sequence (n,) behind a first-order lag, which was in equilibrium at its first value.
+
+    Exact for a signal that runs straight from one time to the next. Where time does not go on, the value
+    stays; where it goes back, another run begins.
+    """
+    if lag_s <= 0.0 or len(signal) == 0:
+        return signal
+    behind = np.empty_like(signal)
+    behind[0] = signal[0]
+    for i in range(1, len(signal)):
+        elapsed = time_s[i] - time_s[i - 1]
+        if elapsed < 0.0:
+            behind[i] = signal[i]
+        elif elapsed == 0.0:
+            behind[i] = behind[i - 1]
+        else:
+            rise = (signal[i] - signal[i - 1]) * lag_s / elapsed
+            behind[i] = signal[i] - rise + (behind[i - 1] - signal[i - 1] + rise) * np.exp(-elapsed / lag_s)
+    return behind
+
+
+def _lag(*minutes: int) -> Parameter:
+    """A lag behind the temperature: none, or about so many minutes."""
+    grid = (0.0, *(m * MINUTE for m in minutes))
+    return Parameter("lag", "min", MINUTE, plausible=10 * MINUTE, per_channel=False, grid=grid)
+
+
+class ThermalBias(BlockEffect):
+    """b_T T, T the temperature less the reference behind a first-order lag."""
+
+    name = "thermal_bias"
+    parameters = (Parameter("b_T", "ug/K", 1e-6, plausible=60e-6, per_channel=True), _lag(5, 10, 20, 30))
+    sentence = "the bias of the accelerometer follows the temperature, at once or behind a lag"
+    shown_by = "the same settings at two temperatures; a step of temperature shows the lag"
+    needs_history = True
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii b_T_i T in volts, shape (n, 3)."""
+        warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, float(values["lag"]))
+        return warmth[:, None] * (seen.scale * values["b_T"])
+
+
+class ThermalScale(BlockEffect):
+    """k_T T K_ii a_i, T the temperature less the reference behind a first-order lag."""
+
+    name = "thermal_scale"
+    parameters = (Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True), _lag(5, 10, 20))
+    sentence = "the scale factor of the accelerometer follows the temperature, at once or behind a lag"
+    shown_by = "the same settings at two temperatures; a step of temperature shows the lag"
+    needs_history = True
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii k_T_i T a_i in volts, shape (n, 3)."""
+        warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, float(values["lag"]))
+        return warmth[:, None] * seen.signal * (seen.scale * values["k_T"])
+
+
+class WarmUp(BlockEffect):
+    """A exp(-t / tau), t since the unit was switched on: since the start of the run where that is not known."""
+
+    name = "warm_up"
+    parameters = (
+        Parameter("A", "ug", 1e-6, plausible=150e-6, per_channel=True),
+        Parameter(
+            "tau", "min", MINUTE, plausible=20 * MINUTE, per_channel=False,
+            grid=tuple(minutes * MINUTE for minutes in (10, 15, 20, 30, 45, 60)), default=20 * MINUTE,
+        ),
+    )  # fmt: skip
+    sentence = "the bias of the accelerometer settles after it was switched on"
+    shown_by = "a return to installation 1 at the end; more passes; a longer soak makes it smaller"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii A_i exp(-t / tau) in volts, shape (n, 3)."""
+        left = np.exp(-seen.conditions.switched_on_s / float(values["tau"]))
+        return left[:, None] * (seen.scale * values["A"])
+
+
+class BiasDrift(BlockEffect):
+    """r t, t since the start of the run."""
+
+    name = "bias_drift"
+    parameters = (Parameter("rate", "ug/h", 1e-6 / HOUR, plausible=30e-6 / HOUR, per_channel=True),)
+    sentence = "the bias of the accelerometer drifts evenly with time"
+    shown_by = "a return to installation 1 at the end; more passes"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii r_i t in volts, shape (n, 3)."""
+        return seen.conditions.elapsed_s[:, None] * (seen.scale * values["rate"])
+
+
+class ScaleDrift(BlockEffect):
+    """r t K_ii a_i, t since the start of the run."""
+
+    name = "scale_drift"
+    parameters = (Parameter("rate", "ppm/h", 1e-6 / HOUR, plausible=20e-6 / HOUR, per_channel=True),)
+    sentence = "the scale factor of the accelerometer drifts evenly with time"
+    shown_by = "a return to installation 1 at the end; a reference voltage at the inputs in each pass"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii r_i t a_i in volts, shape (n, 3)."""
+        return seen.conditions.elapsed_s[:, None] * seen.signal * (seen.scale * values["rate"])
+
+
+class TurnOnShift(BlockEffect):
+    """A step of bias at a remount or a power cycle: from the first row of the mountings named on."""
+
+    name = "turn_on_shift"
+    parameters = (Parameter("step", "ug", 1e-6, plausible=60e-6, per_channel=True),)
+    sentence = "the bias of the accelerometer made a step when the block was mounted or switched on"
+    shown_by = "a return to installation 1 at the end; a remount turned by 180 deg; power kept on at remounts"
+    per_mount = True
+    lasts = True
+    needs_history = True
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii times the step in volts, shape (n, 3)."""
+        return np.broadcast_to(seen.scale * values["step"], seen.signal.shape)
+
+
+# --- supply -----------------------------------------------------------------------------------------
+
+MOST_RAILS: Final = 3
+"""Rails of a block, of which one is looked at after the other."""
+
+
+class SupplySensitivity(BlockEffect):
+    """(b_S + k_S a_i) v, v the voltage of a rail less its nominal one."""
+
+    name = "supply_sensitivity"
+    parameters = (
+        Parameter("b_S", "ug/V", 1e-6, plausible=20e-6, per_channel=True),
+        Parameter("k_S", "ppm/V", 1e-6, plausible=20e-6, per_channel=True),
+        Parameter(
+            "rail", "1", 1.0, plausible=1.0, per_channel=False,
+            grid=tuple(float(number) for number in range(1, MOST_RAILS + 1)), default=1.0,
+        ),
+    )  # fmt: skip
+    sentence = "bias and scale factor of the accelerometer follow the voltage of a rail that feeds it"
+    shown_by = "the same settings with the rail a little above and a little below its nominal voltage"
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii (b_S_i + k_S_i a_i) v in volts, shape (n, 3); nothing where no voltage of it is known."""
+        number = round(float(values["rail"]))
+        above_v = seen.conditions.above_nominal_v
+        if not 1 <= number <= above_v.shape[1]:
+            return np.zeros_like(seen.signal)
+        return above_v[:, number - 1, None] * (seen.scale * (values["b_S"] + values["k_S"] * seen.signal))

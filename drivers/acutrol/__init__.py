@@ -1,1 +1,0 @@
-"""Rate tables with an ACUTROL controller."""

@@ -1,1 +1,0 @@
-"""The HP, Agilent, Keysight 34401A."""

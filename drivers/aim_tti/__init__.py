@@ -1,1 +1,0 @@
-"""Aim-TTi (Thurlby Thandar) power supplies."""

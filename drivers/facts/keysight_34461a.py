@@ -1,0 +1,33 @@
+"""What is true of the Keysight Truevolt 34460A, 34461A, 34465A, 34470A; all else is as of a 34401A.
+
+Of the integration times of the 34465A and 34470A those stand here that all models share.
+Sources: Truevolt Series Operating and Service Guide, "CONFigure", "SENSe:VOLTage", "FETCh?", "SYSTem:IDENtify",
+"Measurement specifications".
+"""
+
+from typing import Final
+
+from drivers.facts import agilent_34401a as line
+
+MODEL: Final = "34461A"
+IDENTITY: Final = "Keysight Technologies,34461A,MY53200001,A.02.17-02.40-02.17-00.52-04-01"
+"""What one answers to *IDN?."""
+INTERFACES: Final = ("lan", "gpib")
+"""It has no RS-232; "lan" stands for USB, too."""
+
+MEMORY_OF_MODEL: Final = {"34461A": 10_000, "34460A": 1_000, "34465A": 50_000, "34470A": 50_000}
+"""Readings that each model keeps, without the option of a larger memory; beyond, the oldest are lost."""
+MEMORY_READINGS: Final = MEMORY_OF_MODEL[MODEL]
+MOST_SAMPLES: Final = 1_000_000
+"""Of one trigger, whatever the memory keeps of them."""
+
+READ_TERMINATION: Final = line.READ_TERMINATION
+WRITE_TERMINATION: Final = line.WRITE_TERMINATION
+RANGES_V: Final = line.RANGES_V
+OVER_RANGE: Final = line.OVER_RANGE
+NPLC: Final = line.NPLC
+RESOLUTION: Final = line.RESOLUTION
+LEAST_SAMPLES: Final = line.LEAST_SAMPLES
+ACCURACY_90_DAYS: Final = line.ACCURACY_90_DAYS
+ACCURACY_1_YEAR: Final = line.ACCURACY_1_YEAR
+LINEARITY: Final = line.LINEARITY

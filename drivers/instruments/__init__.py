@@ -1,0 +1,1 @@
+"""One module for each make or model: its driver."""

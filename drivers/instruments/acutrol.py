@@ -1,0 +1,166 @@
+"""A rate table with an ACUTROL controller as dividing head: commands over TCP, degrees in plain text.
+
+Every command is answered: a prefix of eight characters, then OK or a number. There is no query for "in
+position": position and rate are polled. Commands `:utility`, `:interlock`, `:mode`, `:demand`, `:read`; sources:
+see its facts.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from drivers.facts import acutrol as facts
+from drivers.interfaces import Identity, InstrumentRefused
+from drivers.making_safe import SEE_IT_STANDS, Attempts
+from drivers.motion import MotorisedHead, Travel
+
+if TYPE_CHECKING:
+    from drivers.clock import Clock
+    from drivers.wire.visa import MessageSession
+
+_PREFIX: Final = rf"[\x20-\x7e]{{{facts.PREFIX_CHARACTERS}}}"
+_ANY: Final = rf"{_PREFIX}[\x20-\x7e]*"
+_NUMBER: Final = rf"{_PREFIX} *[+-]?\d+(?:\.\d+)?(?:[eE][+-]?\d+)? *"
+
+
+class AcutrolHead(MotorisedHead):
+    """A `DividingHead` on one axis of an ACUTROL.
+
+    `still_rad_s` is the rate below which the table stands. The speed of a move is the controller's own:
+    the travel's only says how long a move may take. An angle is sent to the nearest 0.001°. Raises
+    `ValueError` when the tolerance is finer than that.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        session: MessageSession,
+        clock: Clock,
+        travel: Travel,
+        *,
+        axis: int = 1,
+        still_rad_s: float = math.radians(facts.STILL_DEG_S),
+    ) -> None:
+        if math.degrees(travel.tolerance_rad) < facts.FINEST_DEMAND_DEG:
+            raise ValueError(
+                f"the tolerance of the head is finer than the {facts.FINEST_DEMAND_DEG:g}° to which a demand is "
+                "rounded"
+            )
+        super().__init__(name, session, clock, travel, identity=Identity(facts.MAKER, facts.MODEL))
+        self._axis = axis
+        self._still_rad_s = still_rad_s
+        self._positioning = False
+
+    # --- the head -----------------------------------------------------------------------------------
+
+    def open(self) -> Identity:
+        """Connect, take the lockout, go through the interlock; the table is powered, nothing moves.
+
+        The controller has no identity to ask for: what proves it is the form of its replies.
+        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
+        """
+        self._positioning = False
+        super().open()
+        self._session.repeating(self._start_up)
+        return self._identity
+
+    def _release(self, attempts: Attempts) -> None:
+        """Switch the axis off, open the interlock: the table was set to rate 0 just now."""
+        attempts.make("switch its axis off at the controller", self._switch_off)
+        attempts.make(
+            "open its interlock at the controller",
+            partial(self._tell, f":interlock:open {self._axis}", urgent=True),
+        )
+
+    # --- the axis -----------------------------------------------------------------------------------
+
+    def prepare(self) -> None:
+        """Enter the position mode, demanding first where the table stands: an old demand would move it."""
+        self._session.repeating(self._session.ensure_proved)
+        if not self._positioning:
+            self._demand(self.position_rad())
+            self._tell(f":mode:position {self._axis}")
+            self._clock.sleep(facts.MODE_GAP_S)
+            self._positioning = True
+
+    def position_rad(self) -> float:
+        """Return the angle read back, rad."""
+        return math.radians(self._read("position"))
+
+    def start(self, target_rad: float) -> None:
+        """Demand an angle, to the nearest 0.001°."""
+        self._demand(target_rad)
+
+    def moving(self) -> bool:
+        """Whether the table turns faster than it may when it stands."""
+        return abs(math.radians(self._read("rate"))) > self._still_rad_s
+
+    def stop(self) -> None:
+        """Hold the table still: rate mode at rate 0; where it refuses that, switch its axis off.
+
+        The rate mode is not entered before rate 0 was taken: an older demand would turn the table.
+        """
+        self._positioning = False
+        attempts = Attempts()
+        rate_0 = partial(self._tell, f":demand:rate {self._axis}, {_degrees(0.0)}", urgent=True)
+        rate_mode = partial(self._tell, f":mode:rate {self._axis}", urgent=True)
+        if not (attempts.make("", rate_0) and attempts.make("", rate_mode)):
+            attempts.make("", self._switch_off)
+        attempts.refuse_failed(
+            self.name, "it did not take rate 0 and its axis was told to go off", SEE_IT_STANDS
+        )
+
+    # --- messages -----------------------------------------------------------------------------------
+
+    def _switch_off(self) -> None:
+        self._tell(f":mode:off {self._axis}", urgent=True)
+
+    def _start_up(self) -> None:
+        """The maker's start-up sequence; the controller wants a quarter of a second after each.
+
+        Not repeated over a connection made anew: opening the interlock would halt a table that moves, and a
+        controller that was switched off meanwhile refuses to position.
+        """
+        for command in (
+            ":utility:lockout on",
+            f":interlock:open {self._axis}",
+            f":interlock:reset {self._axis}",
+            f":interlock:close {self._axis}",
+        ):
+            self._tell(command)
+            self._clock.sleep(facts.STARTUP_GAP_S)
+
+    def _prove(self) -> None:
+        """A controller is known by the form of its answer."""
+        self._read("position")
+
+    def _demand(self, angle_rad: float) -> None:
+        self._tell(f":demand:position {self._axis}, {_degrees(angle_rad)}")
+
+    def _read(self, what: str) -> float:
+        reply = self._session.ask(
+            f":read:{what} {self._axis}",
+            _NUMBER,
+            f"a prefix of {facts.PREFIX_CHARACTERS} characters and a number",
+        )
+        return float(reply[facts.PREFIX_CHARACTERS :])
+
+    def _tell(self, command: str, urgent: bool = False) -> None:
+        """Send a command. Raises `InstrumentRefused` for any answer but OK."""
+        send = self._session.urgent if urgent else self._session.command
+        reply = send(command, _ANY, f"a prefix of {facts.PREFIX_CHARACTERS} characters and OK")
+        answer = reply[facts.PREFIX_CHARACTERS :].strip()
+        if answer.upper() != "OK":
+            raise InstrumentRefused(
+                self.name,
+                f"the controller answers {command} with {answer!r}, not OK",
+                "check the interlock, the emergency stop and the controller's own display",
+            )
+
+
+def _degrees(angle_rad: float) -> str:
+    """Format an angle or rate as the controller takes it: "045.000", "-010.500"."""
+    degrees = round(math.degrees(angle_rad), facts.DEMAND_DECIMALS)
+    return f"{'-' if degrees < 0.0 else ''}{abs(degrees):07.{facts.DEMAND_DECIMALS}f}"

@@ -1,0 +1,79 @@
+"""HP / Agilent / Keysight 34401A, and a Truevolt 34461A set to emulate it: DC volts into memory.
+
+Sources: see its facts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from drivers.facts import agilent_34401a as facts
+from drivers.interfaces import Channel, Identity, VoltmeterLimits, VoltmeterSettings
+from drivers.scpi_voltmeter import Interface, ProvenSetting, ScpiVoltmeter
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from drivers.clock import Clock
+    from drivers.wire.visa import MessageSession
+
+
+@dataclass(frozen=True, slots=True)
+class SingleChannelDialect:
+    """Where the meters of the 34401A's line differ: two headers, and how much the memory holds."""
+
+    autozero: str
+    high_impedance: str
+    limits: VoltmeterLimits
+
+
+DIALECT_34401A: Final = SingleChannelDialect("ZERO:AUTO", "INP:IMP:AUTO", VoltmeterLimits.of(facts))
+
+
+class Agilent34401A(ScpiVoltmeter):
+    """A `Voltmeter` with one signal (see `ScpiVoltmeter` for `interface`, `clock` and `line_hz`)."""
+
+    dialects: Mapping[str, SingleChannelDialect] = dict.fromkeys(facts.MODELS, DIALECT_34401A)
+    """The models that are taken, by the name in their identity; the first is assumed before `open`."""
+
+    models: tuple[str, ...] = facts.MODELS
+    called = "a 34401A"
+    hint = "a 34461A must be told SYST:IDEN HP34401A once"
+
+    def __init__(
+        self,
+        name: str,
+        channel: Channel,
+        session: MessageSession,
+        clock: Clock,
+        *,
+        interface: Interface = "lan",
+        line_hz: float = 50.0,
+    ) -> None:
+        super().__init__(name, (channel,), session, clock, interface=interface, line_hz=line_hz)
+        self._dialect = next(iter(self.dialects.values()))
+
+    @property
+    def limits(self) -> VoltmeterLimits:
+        """What the model can do; before `open` that of the model that this driver is named after."""
+        return self._dialect.limits
+
+    def _accept(self, identity: Identity, reply: str) -> None:
+        super()._accept(identity, reply)
+        self._dialect = self.dialects[identity.model]
+
+    def _setup(self, settings: VoltmeterSettings) -> list[ProvenSetting]:
+        autozero, impedance = self._dialect.autozero, self._dialect.high_impedance
+        return [
+            # CONF presets the trigger and the input to 10 MOhm, so it comes first.
+            ProvenSetting(f"CONF:VOLT:DC {settings.range_v:g}", "FUNC?", '"VOLT"'),
+            ProvenSetting(None, "VOLT:DC:RANG?", settings.range_v),
+            ProvenSetting(None, "VOLT:DC:RANG:AUTO?", 0.0),
+            ProvenSetting(f"VOLT:DC:NPLC {settings.nplc:g}", "VOLT:DC:NPLC?", settings.nplc),
+            ProvenSetting(f"{autozero} ON", f"{autozero}?", 1.0),
+            ProvenSetting(f"{impedance} ON", f"{impedance}?", 1.0),
+            ProvenSetting("TRIG:SOUR IMM", "TRIG:SOUR?", "IMM"),
+            ProvenSetting("TRIG:COUN 1", "TRIG:COUN?", 1.0),
+            ProvenSetting(f"SAMP:COUN {settings.samples}", "SAMP:COUN?", float(settings.samples)),
+        ]

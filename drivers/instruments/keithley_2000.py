@@ -1,0 +1,76 @@
+"""Keithley 2000: DC volts into its buffer.
+
+A start clears the buffer and fills it once; *WAI has the answer wait for the last reading, as the meter takes
+commands while it measures. Sources: see its facts.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from drivers.facts import keithley_2000 as facts
+from drivers.interfaces import Channel, VoltmeterLimits, VoltmeterSettings
+from drivers.scpi_voltmeter import Interface, ProvenSetting, ScpiVoltmeter
+
+if TYPE_CHECKING:
+    from drivers.clock import Clock
+    from drivers.wire.visa import MessageSession
+
+
+class Keithley2000(ScpiVoltmeter):
+    """A `Voltmeter` with one signal. `interface` is "gpib" or "rs232": it has no LAN."""
+
+    makers = facts.MAKERS
+    models = facts.MODELS
+    called = "a Keithley 2000"
+    hint = "it must speak SCPI: GPIB, LANG on its front panel"
+    start_command = "TRAC:CLE;:TRAC:FEED:CONT NEXT;:INIT"
+    fetch_query = "*WAI;:TRAC:DATA?"
+    reading = facts.READING
+    reading_example = facts.READING_EXAMPLE
+    reading_characters = facts.READING_CHARACTERS
+    overload_v = facts.OVERLOAD_V
+    sample_overhead_s = facts.SAMPLE_OVERHEAD_S
+    errors_kept = facts.ERRORS_KEPT
+
+    def __init__(
+        self,
+        name: str,
+        channel: Channel,
+        session: MessageSession,
+        clock: Clock,
+        *,
+        interface: Interface = "gpib",
+        line_hz: float = 50.0,
+    ) -> None:
+        super().__init__(name, (channel,), session, clock, interface=interface, line_hz=line_hz)
+
+    @property
+    def limits(self) -> VoltmeterLimits:
+        """What the model can do."""
+        return VoltmeterLimits.of(facts)
+
+    def _setup(self, settings: VoltmeterSettings) -> list[ProvenSetting]:
+        return [
+            # Switched on it measures on and on, and with a filter: both would be taken into the readings.
+            ProvenSetting("INIT:CONT OFF;:ABOR", "INIT:CONT?", 0.0),
+            ProvenSetting("FUNC 'VOLT:DC'", "FUNC?", '"VOLT:DC"'),
+            ProvenSetting(f"VOLT:DC:RANG {settings.range_v:g}", "VOLT:DC:RANG?", settings.range_v),
+            ProvenSetting(None, "VOLT:DC:RANG:AUTO?", 0.0),
+            ProvenSetting(f"VOLT:DC:NPLC {settings.nplc:g}", "VOLT:DC:NPLC?", settings.nplc),
+            ProvenSetting("VOLT:DC:AVER:STAT OFF", "VOLT:DC:AVER:STAT?", 0.0),
+            ProvenSetting("VOLT:DC:REF:STAT OFF", "VOLT:DC:REF:STAT?", 0.0),
+            ProvenSetting("SYST:AZER:STAT ON", "SYST:AZER:STAT?", 1.0),
+            ProvenSetting("FORM:DATA ASC", "FORM:DATA?", "ASC"),
+            ProvenSetting("FORM:ELEM READ", "FORM:ELEM?", "READ"),
+            ProvenSetting("TRIG:SOUR IMM", "TRIG:SOUR?", "IMM"),
+            ProvenSetting("TRIG:DEL:AUTO ON", "TRIG:DEL:AUTO?", 1.0),
+            ProvenSetting("TRIG:COUN 1", "TRIG:COUN?", 1.0),
+            ProvenSetting(f"SAMP:COUN {settings.samples}", "SAMP:COUN?", float(settings.samples)),
+            # The size of a buffer that is being filled cannot be changed.
+            ProvenSetting(
+                f"TRAC:FEED:CONT NEV;:TRAC:FEED SENS;:TRAC:POIN {settings.samples}",
+                "TRAC:POIN?",
+                float(settings.samples),
+            ),
+        ]

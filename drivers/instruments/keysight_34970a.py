@@ -1,0 +1,295 @@
+"""HP / Agilent / Keysight 34970A and 34972A with 34901A multiplexer cards: several DC voltages, one meter.
+
+The signals are sampled one after another, not at one moment: within a scan each waits for its channel's
+delay and the integration of those before it. The meter scans in rising order of the channel numbers,
+whatever order it is told. Sources: see its facts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+from drivers.facts import keysight_34970a as facts
+from drivers.facts.keysight_34970a import OPEN_C, PAIRED, SENSORS, Sensor
+from drivers.interfaces import (
+    BadReading,
+    Channel,
+    Identity,
+    InstrumentRefused,
+    LimitExceeded,
+    VoltmeterLimits,
+    VoltmeterSettings,
+)
+from drivers.scpi_voltmeter import IDENTITY, Interface, ProvenSetting, ScpiVoltmeter
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from drivers.clock import Clock
+    from drivers.interfaces import Channel
+    from drivers.wire.visa import MessageSession
+
+_READING_EXTRAS: Final = ("ALAR", "CHAN", "TIME", "UNIT")
+
+
+class Keysight34970A(ScpiVoltmeter):
+    """A `Voltmeter` with as many signals as channels are given (see `ScpiVoltmeter` for the rest).
+
+    `channels` says on which channel of the multiplexer each signal is, `{"x": 101, "y": 102, "z": 103}` or
+    the same as pairs; the attribute `channels` holds the signals in the order of the scan. A sample is one
+    scan. `channel_delay_s` passes after each relay has closed, before its sample: whole milliseconds.
+    Raises `LimitExceeded` for channels that a 34901A does not have or that are given twice, or the delay.
+    """
+
+    models = facts.MODELS
+    called = "a 34970A or 34972A"
+
+    def __init__(
+        self,
+        name: str,
+        channels: Mapping[Channel, int] | Sequence[tuple[Channel, int]],
+        session: MessageSession,
+        clock: Clock,
+        *,
+        interface: Interface = "lan",
+        line_hz: float = 50.0,
+        channel_delay_s: float = facts.CHANNEL_DELAY_S,
+    ) -> None:
+        pairs = list(channels.items()) if isinstance(channels, Mapping) else list(channels)
+        pairs.sort(key=lambda pair: pair[1])
+        if wrong := [*_wrong_channels(pairs), *_wrong_delay(channel_delay_s)]:
+            raise LimitExceeded(name, f"cannot do {', '.join(wrong)}", "mend its lines in the bench file")
+        signals = tuple(signal for signal, _ in pairs)
+        super().__init__(name, signals, session, clock, interface=interface, line_hz=line_hz)
+        self._numbers = tuple(number for _, number in pairs)
+        self._channel_delay_s = channel_delay_s
+        self._limits = VoltmeterLimits.of(facts).of_channels(len(pairs))
+        self.sample_overhead_s = channel_delay_s + facts.SAMPLE_OVERHEAD_S
+
+    @property
+    def limits(self) -> VoltmeterLimits:
+        """What the meter can do with these channels: its memory holds 50,000 readings of all of them."""
+        return self._limits
+
+    def open(self) -> Identity:
+        """Connect, prove the identity by pattern and that a 34901A is in each slot that is used.
+
+        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
+        """
+        identity = super().open()
+        for slot in sorted({100 * (number // 100) for number in self._numbers}):
+            reply = self._session.query(f"SYST:CTYP? {slot}", pattern=IDENTITY, expected="a card's identity")
+            card = reply.split(",")[1].strip()
+            if card != facts.CARD:
+                there = "is empty" if card == "0" else f"holds {reply!r}"
+                raise InstrumentRefused(
+                    self.name,
+                    f"slot {slot} of {self._session.resource} {there}, not a {facts.CARD} multiplexer",
+                    "put the card in, with the meter switched off, or mend the channels in the bench file",
+                )
+        return identity
+
+    def _setup(self, settings: VoltmeterSettings) -> list[ProvenSetting]:
+        listed = f"(@{','.join(map(str, self._numbers))})"
+        every = len(self._numbers)
+
+        def each(value: float) -> tuple[float, ...]:
+            return (value,) * every
+
+        return [
+            # CONF presets delay, input resistance (10 MOhm), trigger and reading format, so it comes first.
+            ProvenSetting(
+                f"CONF:VOLT:DC {settings.range_v:g},DEF,{listed}",
+                f"FUNC? {listed}",
+                ",".join(['"VOLT"'] * every),
+            ),
+            ProvenSetting(None, f"VOLT:DC:RANG? {listed}", each(settings.range_v)),
+            ProvenSetting(None, f"VOLT:DC:RANG:AUTO? {listed}", each(0.0)),
+            ProvenSetting(
+                f"VOLT:DC:NPLC {settings.nplc:g},{listed}", f"VOLT:DC:NPLC? {listed}", each(settings.nplc)
+            ),
+            ProvenSetting(f"ZERO:AUTO ON,{listed}", f"ZERO:AUTO? {listed}", each(1.0)),
+            ProvenSetting(f"INP:IMP:AUTO ON,{listed}", f"INP:IMP:AUTO? {listed}", each(1.0)),
+            ProvenSetting(
+                f"ROUT:CHAN:DEL {self._channel_delay_s:g},{listed}",
+                f"ROUT:CHAN:DEL? {listed}",
+                each(self._channel_delay_s),
+            ),
+            ProvenSetting(
+                f"ROUT:SCAN {listed}", "ROUT:SCAN?", f"#{len(str(len(listed)))}{len(listed)}{listed}"
+            ),
+            *(
+                ProvenSetting(f"FORM:READ:{extra} OFF", f"FORM:READ:{extra}?", 0.0)
+                for extra in _READING_EXTRAS
+            ),
+            ProvenSetting("TRIG:SOUR IMM", "TRIG:SOUR?", "IMM"),
+            ProvenSetting(f"TRIG:COUN {settings.samples}", "TRIG:COUN?", float(settings.samples)),
+        ]
+
+
+def _wrong_channels(pairs: Sequence[tuple[Channel, int]]) -> list[str]:
+    """Return what is wrong with the channels, one phrase for each."""
+    wrong = [] if pairs else ["a scan of no channel"]
+    for index, (signal, number) in enumerate(pairs):
+        if number // 100 not in facts.SLOTS or number % 100 not in facts.CARD_CHANNELS:
+            wrong.append(f"{signal} on channel {number} (a {facts.CARD} has {facts.CHANNELS_TEXT})")
+        if number in [other for _, other in pairs[:index]]:
+            wrong.append(f"two signals on channel {number}")
+        if signal in [other for other, _ in pairs[:index]]:
+            wrong.append(f"{signal} on two channels")
+    return wrong
+
+
+def _wrong_delay(delay_s: float) -> list[str]:
+    if not 0.0 <= delay_s <= facts.LONGEST_CHANNEL_DELAY_S:
+        return [f"a channel delay of {delay_s:g} s (it has 0 to {facts.LONGEST_CHANNEL_DELAY_S:g} s)"]
+    steps = delay_s / facts.CHANNEL_DELAY_STEP_S
+    if abs(steps - round(steps)) > 1e-6:
+        return [f"a channel delay of {delay_s:g} s (it goes in steps of 1 ms)"]
+    return []
+
+
+# --- as a thermometer -------------------------------------------------------------------------------
+# Source: see `sensors` and the facts of the meter.
+
+_TEMPERATURE: Final = VoltmeterSettings(range_v=1.0, nplc=10.0, samples=1)
+"""A range is no matter of temperatures; the meter finds its own."""
+
+
+class _Probe(ScpiVoltmeter):
+    """The meter as it scans one channel for a temperature."""
+
+    models = facts.MODELS
+    called = "a 34970A or 34972A"
+
+    def __init__(
+        self,
+        name: str,
+        session: MessageSession,
+        clock: Clock,
+        *,
+        channel: int,
+        sensor: Sensor,
+        interface: Interface,
+        line_hz: float,
+    ) -> None:
+        super().__init__(name, ("x",), session, clock, interface=interface, line_hz=line_hz)
+        self._channel = channel
+        self._sensor = sensor
+        self.sample_overhead_s = facts.CHANNEL_DELAY_S + facts.SAMPLE_OVERHEAD_S
+
+    @property
+    def limits(self) -> VoltmeterLimits:
+        return VoltmeterLimits((_TEMPERATURE.range_v,), facts.NPLC, facts.MEMORY_READINGS)
+
+    def open(self) -> Identity:
+        identity = super().open()
+        slot = 100 * (self._channel // 100)
+        reply = self._session.query(f"SYST:CTYP? {slot}", pattern=IDENTITY, expected="a card's identity")
+        if reply.split(",")[1].strip() != facts.CARD:
+            raise InstrumentRefused(
+                self.name,
+                f"slot {slot} of {self._session.resource} holds {reply!r}, not a {facts.CARD} multiplexer",
+                "put the card in, with the meter switched off, or mend the channel in the bench file",
+            )
+        return identity
+
+    def anew(self) -> None:
+        """Forget what was set: the channel is set again before it is read."""
+        self._connection = None
+
+    def _setup(self, settings: VoltmeterSettings) -> list[ProvenSetting]:
+        listed = f"(@{self._channel})"
+        return [
+            # CONF makes the channel the scan list, presets triggers and the format of readings
+            ProvenSetting(f"CONF:TEMP {self._sensor.configured},1,DEF,{listed}", f"FUNC? {listed}", '"TEMP"'),
+            *(
+                ProvenSetting(None, f"{question} {listed}", wanted)
+                for question, wanted in self._sensor.proved
+            ),
+            ProvenSetting(f"UNIT:TEMP C,{listed}", f"UNIT:TEMP? {listed}", "C"),
+            ProvenSetting(f"TEMP:NPLC {settings.nplc:g},{listed}", f"TEMP:NPLC? {listed}", settings.nplc),
+            ProvenSetting(
+                f"ROUT:SCAN {listed}", "ROUT:SCAN?", f"#{len(str(len(listed)))}{len(listed)}{listed}"
+            ),
+        ]
+
+    def _refuse_overload(
+        self, signals: Mapping[Channel, tuple[float, ...]], settings: VoltmeterSettings
+    ) -> None:
+        if any(abs(value) >= OPEN_C for values in signals.values() for value in values):
+            raise BadReading(
+                self.name,
+                f"channel {self._channel} is open: it sees no {self._sensor.words}",
+                "check the sensor's wiring; with four wires the sense wires are ten channels on",
+            )
+
+
+class Keysight34970AThermometer:
+    """A `Thermometer`: the sensor of that name (`SENSORS`) on a channel such as 104.
+
+    With `meter`, the voltmeter that has the signals, it is read over the voltmeter's session, and the voltmeter
+    then set up again. Raises `LimitExceeded` for a channel that a card does not have, or not for four wires.
+    """
+
+    asks_person = False
+
+    def __init__(
+        self,
+        name: str,
+        session: MessageSession,
+        clock: Clock,
+        *,
+        channel: int,
+        sensor: str = "pt100",
+        interface: Interface = "lan",
+        line_hz: float = 50.0,
+        meter: Keysight34970A | None = None,
+    ) -> None:
+        probe = SENSORS[sensor]
+        known = PAIRED if probe.pair else facts.CARD_CHANNELS
+        if channel // 100 not in facts.SLOTS or channel % 100 not in known:
+            raise LimitExceeded(
+                name, f"cannot have {probe.words} on channel {channel}", "mend its channel in the bench file"
+            )
+        self.name = name
+        self.sensor = f"{probe.words}, channel {channel}"
+        self._range_c = probe.range_c
+        self._meter = meter
+        self._probe = _Probe(
+            name, session, clock, channel=channel, sensor=probe, interface=interface, line_hz=line_hz
+        )  # fmt: skip
+
+    def open(self) -> Identity:
+        """Connect and prove meter and card. Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`."""
+        identity = self._probe.open()
+        # beside the signals it is the voltmeter that has the serial number
+        return identity if self._meter is None else replace(identity, serial="")
+
+    def close(self) -> str:
+        """Let the wire go where it is its own, as a voltmeter does. Never raises, may be called twice."""
+        return self._probe.close() if self._meter is None else ""
+
+    def block_c(self, key: str) -> float:
+        """Set the channel up, prove it, read the sensor once.
+
+        Raises `BadReading` for an open sensor, `InstrumentRefused`, `InstrumentLost`.
+        """
+        self._probe.anew()
+        self._probe.configure(_TEMPERATURE)
+        try:
+            self._probe.start()
+            shown_c = self._probe.fetch()["x"][0]
+        finally:
+            if self._meter is not None:
+                self._meter.disturbed()
+        low_c, high_c = self._range_c
+        if not low_c <= shown_c <= high_c:
+            raise BadReading(
+                self.name,
+                f"it shows {shown_c:g} °C, outside the sensor's {low_c:g} to {high_c:g} °C",
+                "check the sensor and its kind in the bench file",
+            )
+        return shown_c

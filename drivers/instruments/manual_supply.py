@@ -1,0 +1,255 @@
+"""A power supply that a person sets, reads back and switches: what is read is checked against the demand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Final, Literal
+
+from drivers.angles import SupplyUnit, typed_supply
+from drivers.interfaces import (
+    BadReading,
+    Identity,
+    InstrumentRefused,
+    LimitExceeded,
+    OutputSettings,
+    OutputState,
+    SetOtherwise,
+    SupplyLimits,
+)
+from drivers.person import Prompt, PromptKind
+
+if TYPE_CHECKING:
+    from drivers.person import Action, Person
+
+_SWITCH: Final = ("off", "on")
+_YES: Final = frozenset({"y", "yes", "ok", "done"})
+_MAX_ATTEMPTS: Final = 5
+_OF_LIMIT: Final = 0.99
+"""From this part of its limit on a current is taken to be limited."""
+_DEAD: Final = 0.02
+"""An output that gives less than this part of its voltage while it is on is taken to have been switched off."""
+
+Quantity = Literal["set_voltage", "current_limit", "voltage", "current"]
+_CALLED: Final[dict[Quantity, tuple[str, SupplyUnit]]] = {
+    "set_voltage": ("the voltage that output {} is set to", "V"),
+    "current_limit": ("the current limit of output {}", "A"),
+    "voltage": ("the voltage that output {} gives", "V"),
+    "current": ("the current that output {} gives", "A"),
+}
+
+
+class ManualSupply:
+    """A `PowerSupply` whose wire is a person.
+
+    `limits` say what its outputs can do. What an output gives may be `tolerance_v` from what it is set to.
+    """
+
+    def __init__(self, name: str, person: Person, *, limits: SupplyLimits, tolerance_v: float) -> None:
+        self.name = name
+        self.outputs = tuple(limits.outputs)
+        self.asks_person = True
+        self._person = person
+        self._limits = limits
+        self._tolerance_v = tolerance_v
+        self._set: dict[str, OutputSettings] = {}
+        self._on: dict[str, bool] = {}
+
+    def open(self) -> Identity:
+        """Return what stands in the record for a supply without an interface; nothing is asked."""
+        return Identity(maker="manual", model="power supply")
+
+    def close(self) -> None:
+        """Nothing to release: the supply stays as it is."""
+
+    def state(self, key: str) -> dict[str, OutputState]:
+        """Ask what each output that was set up gives.
+
+        Raises `BadReading` for what is no number, `NoAnswer` when there is nobody to ask.
+        """
+        return {output: self._state(output, key) for output in self._set}
+
+    def set_up(self, settings: Mapping[str, OutputSettings], key: str) -> None:
+        """Have outputs set that are off, protections first, and have everything read back.
+
+        Raises `LimitExceeded` before anybody is asked, `SetOtherwise` for an output that is on and set otherwise,
+        `InstrumentRefused` when what is read back is never what was demanded, `BadReading`, `NoAnswer`.
+        """
+        if wrong := self._limits.transgressions(settings):
+            raise LimitExceeded(
+                self.name, f"cannot do {'; '.join(wrong)}", "change what the unit is given in the bench file"
+            )
+        for output, wanted in settings.items():
+            self._on[output] = self._is_on(output, key)
+            if self._on[output]:
+                if different := self._differences(output, wanted, key):
+                    raise SetOtherwise(
+                        self.name,
+                        f"its output {output} is on, and {' and '.join(different)}",
+                        "switch it off, or set it as the bench file has it, and say so again",
+                    )
+            else:
+                self._have_set(output, wanted, key)
+            self._set[output] = wanted
+
+    def switch(self, output: str, on: bool, key: str) -> None:
+        """Have an output switched, and what it then gives read.
+
+        Raises `InstrumentRefused` for one that was never set up, or that gives something else afterwards;
+        `BadReading`, `NoAnswer`.
+        """
+        if on and output not in self._set:
+            raise InstrumentRefused(
+                self.name, f"its output {output} was not set up", "set it up before it is switched on"
+            )
+        word = _SWITCH[on]
+        confirmation = self._text(
+            f"{key}/{output}/{word}",
+            f"Switch output {output} of the power supply {word} and confirm.",
+            PromptKind.CONFIRM,
+            {"do": "switch_supply", "output": output, "on": on},
+            default="yes",
+        )
+        if confirmation.lower() not in _YES:
+            raise InstrumentRefused(
+                self.name,
+                f"nobody confirmed that its output {output} is {word}",
+                "switch it and take this step again",
+            )
+        self._on[output] = on
+        if self._is_on(output, f"{key}/after") != on:
+            self._on[output] = not on
+            raise InstrumentRefused(
+                self.name, f"its output {output} is not {word}", "see whether a protection has tripped"
+            )
+        if on:
+            self._refuse_other_voltage(output, key)
+
+    def switch_all_off(self) -> str:
+        """Return what the person must do where an output may be on; nobody is asked on the way out."""
+        on = [output for output, is_on in self._on.items() if is_on]
+        return f"switch its output {' and '.join(on)} off by hand" if on else ""
+
+    # --- what is asked ------------------------------------------------------------------------------
+
+    def _state(self, output: str, key: str) -> OutputState:
+        settings = self._set[output]
+        voltage_v = self._number("voltage", output, key)
+        current_a = self._number("current", output, key)
+        on = self._on.get(output, False) and abs(voltage_v) > _DEAD * abs(settings.voltage_v)
+        limiting = on and current_a >= _OF_LIMIT * settings.current_limit_a
+        tripped = self._on.get(output, False) and not on
+        return OutputState(on, settings, voltage_v, current_a, tripped, limiting)
+
+    def _have_set(self, output: str, wanted: OutputSettings, key: str) -> None:
+        """Have an output set until what is read back is what was demanded."""
+        protection = "" if wanted.over_voltage_v is None else f"protection at {wanted.over_voltage_v:g} V, "
+        task = (
+            f"Set output {output} of the power supply, which stays off: {protection}"
+            f"current limit {wanted.current_limit_a:g} A, then {wanted.voltage_v:g} V; confirm."
+        )
+        different: list[str] = []
+        for attempt in range(1, _MAX_ATTEMPTS + 1):
+            trouble = f"Read back, {' and '.join(different)}. " if different else ""
+            self._text(
+                f"{key}/{output}/set/{attempt}",
+                trouble + task,
+                PromptKind.CONFIRM,
+                {
+                    "do": "set_supply",
+                    "outputs": {output: (wanted.voltage_v, wanted.current_limit_a, wanted.over_voltage_v)},
+                },
+                default="yes",
+            )
+            different = self._differences(output, wanted, f"{key}/{attempt}")
+            if not different:
+                return
+        raise InstrumentRefused(
+            self.name,
+            f"its output {output} was not set in {_MAX_ATTEMPTS} attempts: {' and '.join(different)}",
+            "check what the display shows, then take this step again",
+        )
+
+    def _differences(self, output: str, wanted: OutputSettings, key: str) -> list[str]:
+        """Return in what the settings read from the display differ; its protection shows nowhere."""
+        shown = OutputSettings(
+            self._number("set_voltage", output, key),
+            self._number("current_limit", output, key),
+            wanted.over_voltage_v,
+        )
+        return self._limits.outputs[output].differences(shown, wanted)
+
+    def _refuse_other_voltage(self, output: str, key: str) -> None:
+        wanted_v = self._set[output].voltage_v
+        given_v = self._number("voltage", output, key)
+        if abs(given_v - wanted_v) > self._tolerance_v:
+            raise InstrumentRefused(
+                self.name,
+                f"its output {output} gives {given_v:g} V, not {wanted_v:g} V within {self._tolerance_v:g} V",
+                "see whether it limits its current, and check the cable to the unit",
+            )
+
+    def _is_on(self, output: str, key: str) -> bool:
+        text = self._text(
+            f"{key}/{output}/switch",
+            f"Is output {output} of the power supply on or off?",
+            PromptKind.CHOOSE,
+            {"do": "read_supply", "output": output, "what": "switch"},
+            choices=_SWITCH,
+        )
+        if text not in _SWITCH:
+            raise BadReading(
+                self.name,
+                f"its output {output} is said to be '{text}'",
+                "answer on or off at the next prompt",
+            )
+        return text == "on"
+
+    def _number(self, what: Quantity, output: str, key: str) -> float:
+        """Ask for a number on the display. Raises `BadReading` when none comes."""
+        called, unit = _CALLED[what]
+        trouble = ""
+        for attempt in range(1, _MAX_ATTEMPTS + 1):
+            text = self._text(
+                f"{key}/{output}/{what}",
+                f"{trouble}Read {called.format(output)} from the power supply, {unit}.",
+                PromptKind.NUMBER,
+                {"do": "read_supply", "output": output, "what": what},
+                unit=unit,
+                attempt=attempt,
+            )
+            try:
+                return typed_supply(text, unit)
+            except ValueError as error:
+                trouble = f"{error} "
+        raise BadReading(
+            self.name,
+            f"no number for {called.format(output)} in {_MAX_ATTEMPTS} attempts",
+            "read the display, then take this step again",
+        )
+
+    def _text(
+        self,
+        prompt_id: str,
+        text: str,
+        kind: PromptKind,
+        action: Action,
+        *,
+        default: str | None = None,
+        unit: str = "",
+        choices: tuple[str, ...] = (),
+        attempt: int = 1,
+    ) -> str:
+        """Put a prompt and return the answer, the default where it is empty; an answer to another is none."""
+        prompt = Prompt(
+            id=f"{prompt_id}#{attempt}",
+            kind=kind,
+            text=text,
+            default=default,
+            unit=unit,
+            choices=choices,
+            action=action,
+        )
+        answer = self._person.ask(prompt)
+        if answer.prompt_id != prompt.id:
+            return ""
+        return answer.text.strip().replace("−", "-") or default or ""

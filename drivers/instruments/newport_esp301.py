@@ -1,0 +1,209 @@
+"""A rotary stage with a Newport ESP301 as dividing head: plain ASCII over a serial port, GPIB or a socket.
+
+Commands have no reply of their own: each is sent on one line with the query for the oldest error, or with another
+whose reply tells. The controller cannot be asked whether an axis was homed, but switched on its motors are off:
+a motor that is off is taken for one whose angle nobody knows.
+Source: see its facts.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, Final
+
+from drivers.angles import format_dms
+from drivers.facts import newport_esp301 as facts
+from drivers.interfaces import Identity, InstrumentRefused
+from drivers.motion import MotorisedHead, Travel
+
+if TYPE_CHECKING:
+    from drivers.clock import Clock
+    from drivers.wire.visa import MessageSession
+
+_NUMBER: Final = r" *[+-]?\d+(?:\.\d+)? *"
+_ANGLE: Final = r" *[+-]?\d+\.\d+ *"
+_STATE: Final = r" *[01] *"
+_ERROR: Final = r" *\d{1,4}, *\d+, *[\x20-\x7e]+"
+_ERROR_EXAMPLE: Final = "an error such as 0, 451322, NO ERROR DETECTED"
+
+_HOME: Final = (
+    "home it with the space around it clear and leave its motor on, or allow homing in the bench file"
+)
+_CHECK_HEAD: Final = "free the head, check its load, home it, then take this step again"
+_AXIS_REMEDIES: Final = {
+    facts.FOLLOWING_ERROR: _CHECK_HEAD,
+    **dict.fromkeys(facts.LIMITS, "check the limits in the bench file against those of the stage"),
+    facts.NOT_CONNECTED: "check the stage's cable and the axis in the bench file",
+    facts.TOO_FAST: "choose a speed in the bench file that the stage can have",
+    facts.MOTOR_OFF: _HOME,
+}
+
+
+class NewportHead(MotorisedHead):
+    """A `DividingHead` on one axis of an ESP301 whose unit is the degree; the head is at 0° at position 0.
+
+    `identity` is the pattern of the model. Homing turns the head to its sensor, beyond any limit: `allow_homing`
+    says that it may. The motor is left on at the end: it holds the head.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        session: MessageSession,
+        clock: Clock,
+        travel: Travel,
+        *,
+        axis: int = 1,
+        identity: str = facts.IDENTITY,
+        allow_homing: bool = False,
+    ) -> None:
+        super().__init__(name, session, clock, travel, identity=Identity(facts.MAKER, ""))
+        self._axis = axis
+        self._identity_pattern = identity
+        self._allow_homing = allow_homing
+
+    # --- the axis -----------------------------------------------------------------------------------
+
+    def prepare(self) -> None:
+        """Stop what still moves, forget old errors, prove the settings; home where that is needed and allowed."""
+        if self._turns():
+            self.stop()
+            self._mover.wait_while(self._turns, self._travel.time_limit_s(0.0))
+        self._forget_errors()
+        self._refuse_other_settings("was switched off or set otherwise since")
+        if not self._motor_on():
+            self._home()
+
+    def position_rad(self) -> float:
+        """Return the angle read back, rad."""
+        return math.radians(float(self._angle_text()))
+
+    def start(self, target_rad: float) -> None:
+        """Begin to move to an angle."""
+        degrees = round(math.degrees(target_rad), facts.DEMAND_DECIMALS) + 0.0  # never -0
+        self._tell(f"{self._axis}PA{degrees:.{facts.DEMAND_DECIMALS}f}")
+
+    def moving(self) -> bool:
+        """Whether the axis moves. Raises `InstrumentRefused` for an error, or when its motor is off."""
+        turns = self._turns()
+        self._refuse_error("reports", self._oldest_error())
+        if not self._motor_on():
+            raise InstrumentRefused(self.name, "its motor went off on the way", _CHECK_HEAD)
+        return turns
+
+    def stop(self) -> None:
+        """Decelerate and stop. Raises `InstrumentRefused` for an error that the controller then reports."""
+        told = f"{self._axis}ST"
+        reply = self._session.urgent(f"{told};TB?", _ERROR, _ERROR_EXAMPLE)
+        self._refuse_error(f"reports after {told}", reply)
+
+    def _home(self) -> None:
+        if not self._allow_homing:
+            raise InstrumentRefused(
+                self.name, "its motor is off: it may have lost its reference, and cannot be asked", _HOME
+            )
+        self._tell(f"{self._axis}MO")
+        self._tell(f"{self._axis}OR1")
+        self._mover.wait_while(self.moving, self._travel.time_limit_s(2.0 * math.tau))
+
+    # --- proof --------------------------------------------------------------------------------------
+
+    def _prove(self) -> None:
+        """Identify the controller; prove its unit, its speed, and that it shows angles finely enough."""
+        model, version = self._introduced()
+        self._forget_errors()
+        speed = f"{math.degrees(self._travel.speed_rad_s):.{facts.DEMAND_DECIMALS}f}"
+        self._tell(f"{self._axis}VA{speed}")
+        self._refuse_other_settings(f"has not taken {self._axis}VA{speed}")
+        decimals = len(self._angle_text().partition(".")[2])
+        shown_rad = math.radians(10.0**-decimals)
+        if shown_rad > self._travel.tolerance_rad:
+            raise InstrumentRefused(
+                self.name,
+                f"it shows angles with {decimals} decimals of a degree, coarser than its tolerance of "
+                f"{format_dms(self._travel.tolerance_rad, 1)}",
+                "let it show more (FP), or widen the tolerance in the bench file",
+            )
+        self._identity = Identity(facts.MAKER, model, "", version)
+
+    def _introduced(self) -> tuple[str, str]:
+        """Return model and firmware. Raises `InstrumentRefused` when it is another instrument."""
+        reply = self._session.ask("*IDN?", r"[\x20-\x7e]+", "an identity")
+        match = re.fullmatch(r"(\S+) Version (\S.*)", reply.strip())
+        if match is None or re.fullmatch(self._identity_pattern, match[1]) is None:
+            raise InstrumentRefused(
+                self.name,
+                f"{self._session.resource} is '{reply.strip()}', no model like {self._identity_pattern}",
+                "check address and identity in the bench file",
+            )
+        return match[1], match[2]
+
+    def _refuse_other_settings(self, what: str) -> None:
+        """Raise `InstrumentRefused` unless it counts degrees and has the speed that it was given."""
+        unit = int(self._number("SN?"))
+        if unit != facts.DEGREES:
+            raise InstrumentRefused(
+                self.name,
+                f"its axis {self._axis} has unit {unit}, not degrees ({facts.DEGREES})",
+                "set the axis up in degrees with the maker's software, its speeds too",
+            )
+        speed_deg_s = math.degrees(self._travel.speed_rad_s)
+        taken_deg_s = self._number("VA?")
+        if not math.isclose(taken_deg_s, speed_deg_s, rel_tol=1e-3):
+            raise InstrumentRefused(
+                self.name,
+                f"it {what}: its speed is {taken_deg_s:g} deg/s, not {speed_deg_s:g} deg/s",
+                "check its reference and the speed in the bench file, then connect again",
+            )
+
+    # --- messages -----------------------------------------------------------------------------------
+
+    def _turns(self) -> bool:
+        return self._ask("MD?", _STATE, "0 or 1").strip() == "0"
+
+    def _motor_on(self) -> bool:
+        return self._ask("MO?", _STATE, "0 or 1").strip() == "1"
+
+    def _angle_text(self) -> str:
+        return self._ask("TP?", _ANGLE, "an angle such as 45.0000").strip()
+
+    def _number(self, command: str) -> float:
+        return float(self._ask(command, _NUMBER, "a number"))
+
+    def _ask(self, command: str, pattern: str, expected: str) -> str:
+        return self._session.ask(f"{self._axis}{command}", pattern, expected)
+
+    def _oldest_error(self) -> str:
+        """Take the oldest error out; after a reply that was lost the next one is asked for."""
+        return self._session.ask("TB?", _ERROR, _ERROR_EXAMPLE)
+
+    def _forget_errors(self) -> None:
+        """Empty the error buffer. Raises `InstrumentRefused` when it fills again at once."""
+        for _ in range(facts.MOST_ERRORS + 1):
+            error = self._oldest_error()
+            if _code(error) == facts.NO_ERROR:
+                return
+        self._refuse_error("reports without end", error)
+
+    def _tell(self, command: str) -> None:
+        """Send a command once. Raises `InstrumentRefused` for the error that it makes."""
+        reply = self._session.command(f"{command};TB?", _ERROR, _ERROR_EXAMPLE)
+        self._refuse_error(f"answers {command} with", reply)
+
+    def _refuse_error(self, how: str, error: str) -> None:
+        code = _code(error)
+        if code == facts.NO_ERROR:
+            return
+        text = error.split(",", 2)[2].strip()
+        axis, of_axis = divmod(code, facts.AXIS_ERRORS)
+        remedy = _AXIS_REMEDIES.get(of_axis) if axis else None
+        raise InstrumentRefused(
+            self.name,
+            f"the controller {how} error {code}, {text}",
+            remedy or "check the axis in the bench file and the controller's settings, see its manual",
+        )
+
+
+def _code(error: str) -> int:
+    return int(error.partition(",")[0])

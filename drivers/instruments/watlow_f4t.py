@@ -1,0 +1,131 @@
+"""A chamber with a Watlow F4T controller: SCPI over TCP port 5025.
+
+There is no error queue: every setting is read back. The unit of all temperatures is asked each time: firmware
+from 04:05:0007 (2019) on speaks °C or °F as it is set, older firmware °F only and does not say so; that is
+refused, as a guess would be wrong by tens of degrees. Sources: see its facts.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from drivers.chambers import NUMBER, ChamberLimits, ControlledChamber
+from drivers.facts import watlow_f4t as facts
+from drivers.interfaces import BadReading, Identity, InstrumentLost, InstrumentRefused
+
+if TYPE_CHECKING:
+    from drivers.clock import Clock
+    from drivers.wire.visa import MessageSession
+
+
+class WatlowF4TChamber(ControlledChamber):
+    """A `ThermalChamber` on one control loop of an F4T.
+
+    `output` is the output that switches conditioning on, where the chamber has one: it is switched on with
+    each demand and off by `make_safe`. Without it `make_safe` demands `safe_c`. `identity` is searched for in
+    the reply to *IDN?, any case. Opening it also proves that the unit is known.
+    """
+
+    resolution_c = facts.RESOLUTION_C
+
+    def __init__(
+        self,
+        name: str,
+        session: MessageSession,
+        clock: Clock,
+        limits: ChamberLimits,
+        *,
+        loop: int = 1,
+        output: int | None = None,
+        safe_c: float = facts.SAFE_C,
+        identity: str = facts.IDENTITY,
+    ) -> None:
+        super().__init__(name, session, clock, limits, identity=identity, write_gap_s=facts.BUSY_S)
+        self._loop = f":SOURCE:CLOOP{loop}"
+        self._output = output
+        self._safe_c = safe_c
+
+    def _refuse_unready(self, target_c: float) -> None:
+        self._refuse_loop_error()
+
+    def _refuse_loop_error(self) -> None:
+        state = self._session.ask(f"{self._loop}:ERROR?", r"[A-Za-z ]+", "NONE or ERROR")
+        if state.strip().upper() != "NONE":
+            raise InstrumentRefused(
+                self.name,
+                f"the control loop reports {state}",
+                "see the controller's display (a sensor broken or not connected), mend it and reset it there",
+            )
+
+    def _demand(self, target_c: float) -> None:
+        demand = target_c
+        if self._fahrenheit():
+            demand = target_c * facts.FAHRENHEIT_PER_C + facts.FAHRENHEIT_AT_0_C
+        self._session.write(f"{self._loop}:SPOINT {demand:.2f}")
+
+    def _set_point_c(self) -> float:
+        return self._temperature_c("SPOINT")
+
+    def _start(self) -> None:
+        if self._output is not None:
+            self._switch_output(self._output, on=True)
+
+    def _stop(self) -> None:
+        """Switch the output off, or where there is none demand `safe_c`, whatever the control loop reports."""
+        if self._output is None:
+            self._limits.check(self.name, self._safe_c)
+            self._demand(self._safe_c)
+            self._refuse_other_set_point(self._set_point_c(), self._safe_c)
+        else:
+            self._switch_output(self._output, on=False)
+
+    def _air_c(self, target_c: float | None) -> float:
+        self._refuse_loop_error()
+        if target_c is not None:
+            self._refuse_other_set_point(self._set_point_c(), target_c)
+            if self._output is not None:
+                self._refuse_output(self._output, on=True)
+        return self._temperature_c("PVALUE")
+
+    def _prove(self) -> None:
+        reply = self._session.ask("*IDN?", r"[\x20-\x7e]+", "an identity")
+        if re.search(self._identity_pattern, reply, re.IGNORECASE) is None:
+            raise InstrumentRefused(
+                self.name,
+                f"{self._session.resource} is {reply!r}, not a {self._identity_pattern}",
+                "check the address in the bench file",
+            )
+        fields = [*(field.strip(' "') for field in reply.split(",")), "", "", "", ""]
+        self._identity = Identity(fields[0], fields[1] or facts.MODEL, fields[2], fields[3])
+        try:
+            self._fahrenheit()
+        except (InstrumentLost, BadReading) as error:
+            raise InstrumentRefused(
+                self.name,
+                f"the controller does not say whether it speaks °C or °F ({error.cause})",
+                "update its firmware to 04:05:0007 or later (older firmware speaks °F only), or, if it is "
+                "new enough, check the cable",
+            ) from error
+
+    def _fahrenheit(self) -> bool:
+        return self._session.ask(":UNIT:TEMPERATURE?", "[CF]", "C or F") == "F"
+
+    def _temperature_c(self, what: str) -> float:
+        """Return PVALUE or SPOINT of the loop in °C. The unit is asked first: somebody may change it."""
+        fahrenheit = self._fahrenheit()
+        value = float(self._session.ask(f"{self._loop}:{what}?", NUMBER, "a temperature such as 25.0"))
+        return (value - facts.FAHRENHEIT_AT_0_C) / facts.FAHRENHEIT_PER_C if fahrenheit else value
+
+    def _switch_output(self, output: int, *, on: bool) -> None:
+        self._session.write(f":OUTPUT{output}:STATE {'ON' if on else 'OFF'}")
+        self._refuse_output(output, on=on)
+
+    def _refuse_output(self, output: int, *, on: bool) -> None:
+        state = self._session.ask(f":OUTPUT{output}:STATE?", r"ON|OFF|1|0", "ON or OFF")
+        if (state in ("ON", "1")) != on:
+            raise InstrumentRefused(
+                self.name,
+                f"its output {output} is {state}, not {'ON' if on else 'OFF'}",
+                "check that nobody else controls the chamber and that its output is configured as an event",
+            )

@@ -1,0 +1,273 @@
+"""A rotary stage with a Zaber controller as dividing head: the ASCII protocol over a serial port or TCP.
+
+Each command carries a message number, which its reply repeats, so that a late reply is never taken for
+another's. Alerts are switched off; a line that comes between all the same (`!` alert, `#` information) ends
+the connection, and what was asked is asked again over a new one.
+Source: see its facts; section "Warning Flags".
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from drivers.facts import zaber as facts
+from drivers.facts.zaber import checksum
+from drivers.interfaces import BadReading, Identity, InstrumentRefused
+from drivers.motion import MotorisedHead, Travel
+
+if TYPE_CHECKING:
+    from drivers.clock import Clock
+    from drivers.wire.visa import MessageSession
+
+_INTEGER: Final = r"-?\d{1,10}"
+_WORD: Final = r"[\w.-]+"
+_EXPECTED: Final = "a reply such as @01 0 07 OK IDLE -- 0, with the number of the command"
+
+_FINE: Final = "--"
+_NOT_HOMED: Final = ("WR", "WH")
+_CHECK_HEAD: Final = "free the head, check its load, then take this step again"
+_TROUBLES: Final = {
+    "FF": ("reports a critical fault of the controller", "switch it off and have it serviced"),
+    "FD": ("has switched its motor driver off", "switch the controller off and on and home the head"),
+    "FO": ("has switched its motor driver off (overload)", "switch the controller off and on"),
+    "FQ": ("cannot trust its encoder", "check the encoder's cable, home the head, then take this step again"),
+    "FS": ("has stalled", _CHECK_HEAD),
+    "FE": ("ran into a limit", _CHECK_HEAD),
+    "FB": ("could not follow its path", _CHECK_HEAD),
+    "WL": ("met a limit sensor where none should be", "home the head and check its limits"),
+    "WM": ("was displaced while it stood", "home the head and take this point again"),
+    "WV": ("reports a supply voltage out of range", "check the power supply"),
+    "WT": ("reports a temperature out of range", "let it cool down"),
+    "NC": ("is being turned by its knob", "let nobody turn the knob during a run"),
+    "NI": ("was interrupted by another command", "let nobody else control the head during a run"),
+}
+"""What a warning flag means, and what to do."""
+
+_REJECTIONS: Final = {
+    "BADCOMMAND": "the controller does not know the command",
+    "BADDATA": "the value is outside what the controller allows",
+    "BADAXIS": "it has no such axis",
+    "STATUSBUSY": "it moves",
+    "PARKED": "the axis is parked",
+    "DRIVERDISABLED": "the motor driver is off",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Reply:
+    busy: bool
+    flag: str
+    data: str
+
+
+class ZaberHead(MotorisedHead):
+    """A `DividingHead` on one axis of a Zaber device.
+
+    `steps_per_degree` are the microsteps (encoder counts on a direct drive) per degree of the scale at the
+    setting `resolution`, negative where the scale falls with rising steps; the head is at 0° at step 0. An
+    angle is sent as the nearest step, and read back as whole steps. `identity` is the pattern of the device
+    id. Homing turns the head to its sensor, beyond any limit: `allow_homing` says that it may. Raises
+    `ValueError` where the limits are more steps than a controller counts, or a step coarser than the
+    tolerance. With `checksums` every message carries one.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        session: MessageSession,
+        clock: Clock,
+        travel: Travel,
+        *,
+        steps_per_degree: float,
+        resolution: int = facts.RESOLUTION,
+        device: int = 1,
+        axis: int = 1,
+        identity: str = facts.IDENTITY,
+        allow_homing: bool = False,
+        checksums: bool = False,
+    ) -> None:
+        super().__init__(name, session, clock, travel, identity=Identity(facts.MAKER, ""))
+        self._steps_per_degree = _checked(steps_per_degree, travel)
+        self._resolution = resolution
+        self._device = device
+        self._axis = axis
+        self._identity_pattern = identity
+        self._allow_homing = allow_homing
+        self._checksums = checksums
+        self._number = 0
+
+    # --- the axis -----------------------------------------------------------------------------------
+
+    def prepare(self) -> None:
+        """Stop what still moves, clear old warnings, home where that is needed and allowed."""
+        if self._ask("").busy:
+            self.stop()
+            # Having been interrupted is a warning, too: it is cleared below.
+            self._mover.wait_while(lambda: self._ask("").busy, self._travel.time_limit_s(0.0))
+        self._ask("warnings clear")
+        flag = self._ask("").flag
+        if flag in _NOT_HOMED:
+            self._home(flag)
+        elif flag != _FINE:
+            raise self._trouble(flag)
+
+    def position_rad(self) -> float:
+        """Return the angle read back, rad, from whole steps."""
+        return math.radians(int(self._ask("get pos", _INTEGER).data) / self._steps_per_degree)
+
+    def start(self, target_rad: float) -> None:
+        """Begin to move to the step nearest to an angle. Sent once: sent again, it would interrupt itself."""
+        self._exchange(f"move abs {round(math.degrees(target_rad) * self._steps_per_degree)}")
+
+    def moving(self) -> bool:
+        """Whether the axis is busy. Raises `InstrumentRefused` for a warning flag."""
+        return self._busy_without(())
+
+    def stop(self) -> None:
+        """Decelerate and stop."""
+        self._exchange("stop", urgent=True)
+
+    def _home(self, flag: str) -> None:
+        if not self._allow_homing:
+            raise InstrumentRefused(
+                self.name,
+                f"the head was not homed since it was switched on (flag {flag})",
+                "home it with the space around it clear, or allow homing in the bench file",
+            )
+        self._exchange("home")
+        limit_s = self._travel.time_limit_s(2.0 * math.tau)
+        self._mover.wait_while(lambda: self._busy_without(_NOT_HOMED), limit_s)
+        self._busy_without(())
+
+    def _busy_without(self, tolerated: tuple[str, ...]) -> bool:
+        """Return whether the axis is busy. Raises `InstrumentRefused` for any flag but those."""
+        reply = self._ask("")
+        if reply.flag not in (_FINE, *tolerated):
+            raise self._trouble(reply.flag)
+        return reply.busy
+
+    # --- proof --------------------------------------------------------------------------------------
+
+    def _prove(self) -> None:
+        """Identify the device and prove what the conversion of angles and speeds stands on."""
+        if self._checksums:
+            self._ask("set comm.checksum 1", axis=0)
+        self._if_known("set comm.alert 0")
+        device_id = self._ask("get deviceid", _INTEGER, axis=0).data
+        if re.fullmatch(self._identity_pattern, device_id) is None:
+            raise InstrumentRefused(
+                self.name,
+                f"{self._session.resource} has the Zaber device id {device_id}, "
+                f"not one like {self._identity_pattern}",
+                "check address and identity in the bench file",
+            )
+        resolution = int(self._ask("get resolution", _INTEGER).data)
+        if resolution != self._resolution:
+            raise InstrumentRefused(
+                self.name,
+                f"its resolution is {resolution} microsteps, but the steps per degree in the bench file "
+                f"hold for {self._resolution}",
+                "set the one or the other right",
+            )
+        speed_deg_s = math.degrees(self._travel.speed_rad_s)
+        speed = round(speed_deg_s * abs(self._steps_per_degree) * facts.SPEED_UNITS)
+        self._ask(f"set maxspeed {speed}")
+        taken = int(self._ask("get maxspeed", _INTEGER).data)
+        if taken != speed:
+            raise InstrumentRefused(
+                self.name,
+                f"its maxspeed is {taken} after it was set to {speed}",
+                "choose a speed in the bench file that the stage can have",
+            )
+        serial, version = self._if_known("get system.serial"), self._if_known("get version")
+        self._identity = Identity(facts.MAKER, device_id, serial, version)
+
+    def _if_known(self, text: str) -> str:
+        """Ask what older firmware does not know; return nothing then."""
+        try:
+            return self._ask(text, _WORD, axis=0).data
+        except InstrumentRefused:
+            return ""
+
+    # --- messages -----------------------------------------------------------------------------------
+
+    def _ask(self, text: str, data: str = r".*?", axis: int | None = None) -> _Reply:
+        """Send what may be sent again after a garbled or interleaved reply."""
+        return self._session.repeating(lambda: self._exchange(text, data, axis))
+
+    def _exchange(
+        self, text: str, data: str = r".*?", axis: int | None = None, urgent: bool = False
+    ) -> _Reply:
+        """Send one command; return its reply. Raises `InstrumentRefused` when it is rejected."""
+        if not urgent:
+            self._session.ensure_proved()
+        addressed = self._axis if axis is None else axis
+        self._number = self._number % facts.MOST_NUMBERS + 1
+        message = f"{self._device} {addressed} {self._number:02d} {text}".rstrip()
+        if self._checksums:
+            message += f":{checksum(message)}"
+        # A rejected command has a word for the reason in place of its data.
+        pattern = (
+            rf"@{self._device:02d} {addressed} {self._number:02d} "
+            rf"(?:(OK) (BUSY|IDLE) (\S\S) ({data})|(RJ) (BUSY|IDLE) (\S\S) ([A-Z]+))(:[0-9A-F]{{2}})?"
+        )
+        send = self._session.urgent if urgent else self._session.command
+        line = send(f"/{message}", pattern, _EXPECTED)
+        self._refuse_bad_checksum(line, text)
+        match = re.fullmatch(pattern, line)
+        groups = [group for group in match.groups() if group is not None] if match else []
+        verdict, status, flag, content = groups[:4]
+        if verdict == "RJ":
+            raise InstrumentRefused(
+                self.name,
+                f"the controller rejected '{text}' with {content}: "
+                f"{_REJECTIONS.get(content, 'see its manual')}{_with_flag(flag)}",
+                "check device, axis and limits in the bench file, and the controller's settings",
+            )
+        return _Reply(status == "BUSY", flag, content)
+
+    def _refuse_bad_checksum(self, line: str, text: str) -> None:
+        body, colon, sent = line[1:].rpartition(":")
+        wrong = checksum(body) != sent if colon else self._checksums and not text.startswith("set comm")
+        if wrong:
+            raise BadReading(
+                self.name,
+                f"the reply {line!r} to '{text}' has no right checksum",
+                "take it again, and check the cable if it comes again",
+            )
+
+    def _trouble(self, flag: str) -> InstrumentRefused:
+        if flag in _NOT_HOMED:
+            return InstrumentRefused(
+                self.name,
+                f"the head has lost its reference (flag {flag})",
+                "home it, then take this point again",
+            )
+        cause, remedy = _TROUBLES.get(
+            flag, ("shows a warning that is not known here", "see the protocol manual for its meaning")
+        )
+        return InstrumentRefused(self.name, f"the head {cause} (flag {flag})", remedy)
+
+
+def _with_flag(flag: str) -> str:
+    return "" if flag == _FINE else f", flag {flag}"
+
+
+def _checked(steps_per_degree: float, travel: Travel) -> float:
+    """Return it when whole steps can express the limits and the tolerance, else raise `ValueError`."""
+    if not math.isfinite(steps_per_degree) or steps_per_degree == 0.0:
+        raise ValueError(f"the head needs a number of steps per degree, not {steps_per_degree:g}")
+    farthest_deg = math.degrees(max(abs(travel.minimum_rad), abs(travel.maximum_rad)))
+    if farthest_deg * abs(steps_per_degree) > facts.MOST_STEPS:
+        raise ValueError(
+            f"at {steps_per_degree:g} steps per degree the limits of the head are more than "
+            f"{facts.MOST_STEPS} steps"
+        )
+    if 0.5 / abs(steps_per_degree) > math.degrees(travel.tolerance_rad):
+        raise ValueError(
+            f"at {steps_per_degree:g} steps per degree a step of the head is coarser than its tolerance"
+        )
+    return steps_per_degree

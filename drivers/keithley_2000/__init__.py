@@ -1,1 +1,0 @@
-"""The Keithley 2000."""

@@ -1,1 +1,0 @@
-"""The Keysight Truevolt meters 34460A, 34461A, 34465A, 34470A."""

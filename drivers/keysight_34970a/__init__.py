@@ -1,1 +1,0 @@
-"""The HP, Agilent, Keysight 34970A and 34972A with 34901A cards."""

@@ -1,1 +1,0 @@
-"""HP / Agilent / Keysight E3631A."""

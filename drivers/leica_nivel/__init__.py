@@ -1,1 +1,0 @@
-"""Leica Nivel210 and Nivel220 two-axis inclination sensors."""

@@ -1,1 +1,0 @@
-"""A head and a chamber that a person works."""

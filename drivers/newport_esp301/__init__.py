@@ -1,1 +1,0 @@
-"""Rotary stages with a Newport ESP301 motion controller."""

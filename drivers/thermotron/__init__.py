@@ -1,1 +1,0 @@
-"""Thermotron chambers."""

@@ -1,1 +1,0 @@
-"""Chambers with a Watlow F4T controller."""

@@ -1,0 +1,228 @@
+"""The resources of this computer: which there are, and which another program holds."""
+
+from __future__ import annotations
+
+import getpass
+import hashlib
+import importlib.util
+import json
+import os
+import re
+import socket
+import sys
+import threading
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from filelock import FileLock, Timeout
+from pyvisa.rname import InvalidResourceName, ResourceName
+
+from drivers.clock import utc_now
+from drivers.interfaces import InstrumentRefused
+
+# --- discovery --------------------------------------------------------------------------------------
+# As of pyvisa-py 0.8.1 a search takes some two seconds, in which it waits for answers from the network. It needs
+# optional packages for GPIB, USB and parts of the network, and cannot find raw SCPI sockets, as these do not
+# announce themselves.
+
+_PACKAGES: Final = {
+    "psutil": "only the network of the default interface was searched (install psutil to search all)",
+    "zeroconf": "instruments that announce themselves as HiSLIP were not searched (install zeroconf)",
+}
+"""By the package that pyvisa-py misses and warns of, what was not searched without it."""
+_LIBRARIES: Final = {
+    ("gpib", "gpib_ctypes"): "GPIB boards were not searched (install linux-gpib or gpib-ctypes)",
+    ("usb",): "USB was not searched (install pyusb)",
+}
+"""By the packages of which pyvisa-py silently misses each, what was not searched without them."""
+SOCKETS: Final = (
+    "raw SCPI sockets (TCPIP::HOST::5025::SOCKET), chambers and heads on a network cannot be found this way: "
+    "see the address on the instrument's own display"
+)
+
+
+@dataclass(frozen=True)
+class SerialPort:
+    """A serial port: its VISA name, its name on this computer, what is known of its adapter."""
+
+    resource: str
+    device: str
+    description: str
+
+
+@dataclass(frozen=True)
+class Offer:
+    """What was found; `notes` says what could not be searched, and why."""
+
+    resources: tuple[str, ...]
+    serial_ports: tuple[SerialPort, ...]
+    notes: tuple[str, ...]
+
+
+def discover(
+    list_resources: Callable[[], tuple[str, ...]] | None = None,
+    list_ports: Callable[[], tuple[SerialPort, ...]] | None = None,
+) -> Offer:
+    """Search all interfaces. Never raises: an interface that cannot be searched is a note."""
+    notes: list[str] = []
+    resources: tuple[str, ...] = ()
+    ports: tuple[SerialPort, ...] = ()
+    with warnings.catch_warnings(record=True) as missed:
+        warnings.simplefilter("always")
+        try:
+            resources = (list_resources or _visa_resources)()
+        except Exception as error:  # the libraries beneath raise anything
+            notes.append(f"VISA resources could not be searched ({type(error).__name__}: {error})")
+    try:
+        ports = (list_ports or _serial_ports)()
+    except Exception as error:
+        notes.append(f"serial ports could not be searched ({type(error).__name__}: {error})")
+    said = " ".join(str(warning.message) for warning in missed)
+    notes += [text for package, text in _PACKAGES.items() if package in said]
+    notes += [text for names, text in _LIBRARIES.items() if not any(map(importlib.util.find_spec, names))]
+    # Each serial port is also offered as a GPIB adapter, whatever is plugged into it.
+    own = {port.resource for port in ports}
+    resources = tuple(r for r in resources if not r.startswith("PRLGX") and r not in own)
+    return Offer(resources, ports, (*notes, SOCKETS))
+
+
+def _visa_resources() -> tuple[str, ...]:
+    import pyvisa
+
+    return pyvisa.ResourceManager("@py").list_resources("?*")
+
+
+def _serial_ports() -> tuple[SerialPort, ...]:
+    from serial.tools import list_ports
+
+    return tuple(
+        SerialPort(
+            f"ASRL{port.device}::INSTR", port.device, "" if port.description == "n/a" else port.description
+        )
+        for port in sorted(list_ports.comports())
+    )
+
+
+# --- one program at an instrument -------------------------------------------------------------------
+# A lock is of a file that its program has open: when that ends, however it ends, the lock is free. Beside it stands
+# who holds it since when, for the refusal to name. It guards against programs of the same user on this computer;
+# against other users and computers only an instrument's own lock does (`Connection.take_own_lock`).
+
+_ADAPTER: Final = re.compile(r"prologix://(/\S+|COM\d+|[^\s/:]+(?::\d+)?)/\d{1,2}", re.IGNORECASE)
+_PORT: Final = re.compile(r"ASRL(/\S+|COM\d+)::INSTR", re.IGNORECASE)
+_SERIAL: Final = re.compile(r"/|COM\d+$", re.IGNORECASE)
+_KINDS: Final = ("INSTR", "SOCKET", "INTFC")
+_ADAPTER_PORT: Final = ":1234"
+_NO_LOCKS: Final = (OSError, NotImplementedError)
+"""What comes of a folder that cannot be written, or whose file system has no locks: then nothing is held."""
+
+
+def normalised(resource: str) -> str:
+    """Return one name for all the ways in which a resource may be written.
+
+    An adapter stands for all instruments behind it, a serial port for the device that its links lead to; a host's
+    name is not looked up.
+    """
+    if (adapter := _ADAPTER.fullmatch(resource)) is not None:
+        place = adapter[1]
+        if _SERIAL.match(place):
+            return _device(place)
+        return f"adapter {_host(place).removesuffix(_ADAPTER_PORT)}"
+    if (port := _PORT.fullmatch(resource)) is not None:
+        return _device(port[1])
+    parts = [part.upper() if part.upper() in _KINDS else part for part in resource.split("::")]
+    interface = re.match(r"[A-Za-z-]+\d*", parts[0])
+    if interface is not None:
+        parts[0] = interface[0].upper() + parts[0][interface.end() :]
+    with suppress(InvalidResourceName, ValueError):
+        parts = str(ResourceName.from_string("::".join(parts))).split("::")
+    return "::".join(_number(part) or _host(part) for part in parts)
+
+
+def _device(port: str) -> str:
+    return f"port {os.path.realpath(port) if port.startswith('/') else port.upper()}"
+
+
+def _host(text: str) -> str:
+    return re.sub(r"^localhost\b", "127.0.0.1", text.lower())
+
+
+def _number(text: str) -> str:
+    """Return a number as decimal: USB writes its own in either way."""
+    return str(int(text, 16)) if re.fullmatch(r"0[xX][0-9a-fA-F]+", text) else ""
+
+
+class Holding:
+    """The locks of this program, in `folder`; an instrument that it opens twice it holds once."""
+
+    _held: Final[dict[Path, tuple[FileLock, int]]] = {}
+    _guard: Final = threading.Lock()
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def take(self, name: str, resource: str, called: str = "") -> None:
+        """Hold the instrument `name`. Raises `InstrumentRefused` with who holds it already.
+
+        The refusal has the resource by what it is `called`, where it is a name that nobody has typed.
+        """
+        path = self._path(resource)
+        with self._guard:
+            lock, times = self._held.get(path, (None, 0))
+            if lock is None:
+                try:
+                    self._folder.mkdir(parents=True, exist_ok=True)
+                    lock = FileLock(path, thread_local=False)
+                    lock.acquire(timeout=0.0)
+                except Timeout:
+                    raise self._refusal(name, called or resource, path) from None
+                except _NO_LOCKS:
+                    return
+                self._say_who(path)
+            self._held[path] = (lock, times + 1)
+
+    def release(self, resource: str) -> None:
+        """Let an instrument go that was taken; never raises."""
+        path = self._path(resource)
+        with self._guard, suppress(*_NO_LOCKS):
+            lock, times = self._held.pop(path, (None, 0))
+            if lock is not None and times > 1:
+                self._held[path] = (lock, times - 1)
+            elif lock is not None:
+                path.with_suffix(".json").unlink(missing_ok=True)
+                lock.release()
+
+    def _path(self, resource: str) -> Path:
+        return self._folder / f"{hashlib.sha256(normalised(resource).encode()).hexdigest()[:24]}.lock"
+
+    @staticmethod
+    def _say_who(path: Path) -> None:
+        with suppress(OSError):
+            text = json.dumps({"who": _who(), "since": utc_now().astimezone().strftime("%Y-%m-%d %H:%M:%S")})
+            part = path.with_suffix(f".{os.getpid()}")
+            part.write_text(text, encoding="utf-8")
+            part.replace(path.with_suffix(".json"))
+
+    @staticmethod
+    def _refusal(name: str, resource: str, path: Path) -> InstrumentRefused:
+        try:
+            told = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+            holder = f"{told['who']} since {told['since']}"
+        except (OSError, ValueError, KeyError, TypeError):
+            holder = "another program"  # it has only just begun
+        return InstrumentRefused(name, f"{resource} is in use by {holder}", "end that program or wait for it")
+
+
+def _who() -> str:
+    """Say which program this is: its command, user, computer and process."""
+    try:
+        user = getpass.getuser()
+    except (OSError, KeyError):
+        user = "somebody"
+    command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])[:120]
+    shown = "".join(c if c.isprintable() else "?" for c in command)
+    return f"'{shown}' ({user} on {socket.gethostname()}, process {os.getpid()})"

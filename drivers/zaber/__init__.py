@@ -1,1 +1,0 @@
-"""Rotary stages with a Zaber controller."""

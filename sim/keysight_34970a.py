@@ -1,0 +1,427 @@
+"""A simulated 34970A or 34972A with 34901A cards, and a temperature sensor on one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Final, Literal
+
+from drivers.facts import keysight_34970a as facts
+from drivers.facts.agilent_34401a import OVERLOAD_V
+from drivers.facts.keysight_34970a import SENSORS
+from sim.keysight_34970a_scan import (
+    CARDS,
+    DC_VOLTS,
+    KINDS,
+    CardInput,
+    ChannelConfiguration,
+    ChannelList,
+    Scan,
+    Transducer,
+    listed,
+)
+from sim.scpi import Command
+from sim.scpi_values import (
+    DEF,
+    MAX,
+    MIN,
+    Boolean,
+    Choice,
+    CommandParameter,
+    Number,
+    ScpiError,
+    Text,
+    Value,
+    integer,
+    next_above,
+    notation_pattern,
+    quoted,
+)
+from sim.voltmeters import VOLT_OVERLOAD, Accuracy, Converter, Interface, LineMeter, MeteredSignal
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import numpy as np
+
+    from drivers.clock import Clock
+    from sim.world.world import World
+
+
+Model = Literal["34970A", "34972A"]
+
+_SLOTS: Final = tuple(100 * slot for slot in facts.SLOTS)
+_ERRORS: Final = {
+    302: "No module was detected in this slot",
+    304: "Does not exist",
+    305: "Not able to perform requested operation",
+    309: "Incorrectly formatted channel list",
+}
+
+
+class Keysight34970A(LineMeter):
+    """The meter. `wiring` says what is at which channel, `{101: world.terminals("x"), …}`.
+
+    `cards` holds the card of each slot that is not empty. `interface`, `noise` and `accuracy` are as for the
+    34401A; gain and offset are those of the one converter, the same for all channels. Raises `ValueError`
+    for wiring that the cards do not have.
+    """
+
+    beside_measuring = ("INITiate", "ABORt")
+
+    def __init__(
+        self,
+        wiring: Mapping[int, MeteredSignal],
+        clock: Clock,
+        *,
+        model: Model = "34970A",
+        cards: Mapping[int, str] | None = None,
+        interface: Interface = "lan",
+        noise: bool = True,
+        accuracy: Accuracy | None = None,
+        line_hz: float = 50.0,
+    ) -> None:
+        super().__init__(facts.IDENTITIES[model], _ERRORS, interface)
+        self.model = model
+        self.cards = {_SLOTS[0]: facts.CARD} if cards is None else dict(cards)
+        numbers = [slot + number for slot, card in self.cards.items() for number in CARDS[card]]
+        if not wiring or not set(wiring) <= set(numbers):
+            raise ValueError(f"channels {sorted(wiring)} are not on the cards {self.cards}")
+        common = wiring[min(wiring)]
+        inputs = {number: CardInput(wiring.get(number), common) for number in numbers}
+        self._channels = {
+            number: (
+                ChannelConfiguration(),
+                Converter(
+                    inputs[number],
+                    facts,
+                    noise=noise,
+                    accuracy=accuracy,
+                    line_hz=line_hz,
+                ),
+            )
+            for number in numbers
+        }
+        self._closed: set[int] = set()
+        self.scan = Scan(clock, self._channels, inputs, self._overload, self.device_clear_pending)
+        for lines in (self.scan.commands(), self._measure_commands(), self._sense_commands()):
+            self.add(lines)
+        self.add(self._route_commands())
+        self.add(self._system_commands())
+
+    # --- what the wire and the bench do -------------------------------------------------------------
+
+    @property
+    def cycle(self) -> Scan:
+        """Its scan."""
+        return self.scan
+
+    @property
+    def converters(self) -> list[Converter]:
+        """Its one converter, as each channel has it."""
+        return [converter for _, converter in self._channels.values()]
+
+    def reset(self) -> None:
+        """*RST: all channels as shipped, relays open, an empty scan list; errors and masks stay."""
+        self.scan.abort()
+        self.scan.preset()
+        self.scan.define(())
+        self._closed.clear()
+        for configuration, _ in self._channels.values():
+            configuration.preset()
+
+    def _overload(self) -> None:
+        """An overload is seen in the questionable data register only."""
+        self.status.questionable |= VOLT_OVERLOAD
+
+    # --- CONFigure and MEASure ----------------------------------------------------------------------
+
+    def _measure_commands(self) -> list[Command]:
+        words = Number("V", (MIN, MAX, DEF))
+        parameters = (ChannelList(words), ChannelList(words, optional=True), ChannelList(optional=True))
+        return [
+            Command("CONFigure:VOLTage[:DC]", self._configure, parameters),
+            Command(
+                "CONFigure:TEMPerature",
+                self._configure_temperature,
+                (Choice(KINDS), Number(words=(DEF,)), *parameters),
+            ),
+            Command("CONFigure?", self._description, (ChannelList(optional=True),)),
+            Command("MEASure:VOLTage[:DC]?", self._measure, parameters),
+        ]
+
+    def _configure(self, *values: Value) -> None:
+        if not str(values[-1]).startswith("("):
+            raise ScpiError(-109)
+        numbers, channels = self._split(values)
+        range_value, resolution = (*numbers, DEF, DEF)[:2]
+        for channel in channels:
+            self._channels[channel][0].configure(range_value, resolution)
+        self.scan.abort()
+        self.scan.preset()
+        self.scan.define(channels)
+
+    def _configure_temperature(self, kind: str, number: Value, *values: Value) -> None:
+        if not str(values[-1]).startswith("("):
+            raise ScpiError(-109)
+        channels = self._split(values)[1]
+        probes = {channel: Transducer.of(kind, number, channel) for channel in channels}
+        for channel, probe in probes.items():
+            self._channels[channel][0].measure_temperature(probe)
+        self.scan.abort()
+        self.scan.preset()
+        self.scan.define(channels)
+
+    def _measure(self, *values: Value) -> str | None:
+        self._configure(*values)
+        return self.scan.read()
+
+    def _description(self, *values: Value) -> str:
+        parts = []
+        for channel in self._split(values)[1]:
+            settings = self._channels[channel][0].settings
+            full_scale = settings.range_value
+            parts.append(quoted(f"VOLT {full_scale:+.6E},{full_scale * settings.resolution:+.6E}"))
+        return ",".join(parts)
+
+    # --- settings of channels -----------------------------------------------------------------------
+
+    def _sense_commands(self) -> list[Command]:
+        by_integration = {nplc: resolution for resolution, nplc in DC_VOLTS.integration.items()}
+        accepted = sorted(by_integration)
+
+        def set_range(channel: ChannelConfiguration, value: Value) -> None:
+            limits = {MIN: DC_VOLTS.ranges[0], MAX: DC_VOLTS.ranges[-1]}
+            wanted = limits[value] if isinstance(value, str) else value
+            channel.settings.range_value = next_above(wanted, DC_VOLTS.ranges)
+            channel.settings.autorange = False
+
+        def set_nplc(channel: ChannelConfiguration, value: Value) -> None:
+            limits = {MIN: accepted[0], MAX: accepted[-1]}
+            wanted = limits[value] if isinstance(value, str) else value
+            channel.settings.resolution = by_integration[next_above(wanted, accepted)]
+
+        def set_delay(channel: ChannelConfiguration, value: Value) -> None:
+            limits = {MIN: 0.0, MAX: facts.LONGEST_CHANNEL_DELAY_S}
+            channel.set_delay(limits[value] if isinstance(value, str) else value)
+
+        volts, degrees, flag = "[SENSe:]VOLTage[:DC]", "[SENSe:]TEMPerature", Boolean()
+        return [
+            *self._lines(
+                f"{volts}:RANGe", Number("V"), set_range, lambda c: f"{c.settings.range_value:+.8E}"
+            ),
+            *self._lines(
+                f"{volts}:RANGe:AUTO", flag, _set_autorange, lambda c: str(int(c.settings.autorange))
+            ),
+            *self._lines(f"{volts}:NPLCycles", Number(), set_nplc, lambda c: f"{c.nplc:+.8E}"),
+            *self._lines(
+                "[SENSe:]ZERO:AUTO", Boolean(("ONCE",)), _set_autozero, lambda c: str(int(c.autozero))
+            ),
+            *self._lines("INPut:IMPedance:AUTO", flag, _set_impedance, lambda c: str(int(c.high_impedance))),
+            *self._lines("ROUTe:CHANnel:DELay", Number("S"), set_delay, lambda c: f"{c.delay_s:+.8E}"),
+            *self._lines(
+                "ROUTe:CHANnel:DELay:AUTO",
+                flag,
+                _set_automatic_delay,
+                lambda c: str(int(c.stated_delay_s is None)),
+            ),
+            *self._lines("[SENSe:]FUNCtion", Text(), _set_function, lambda c: quoted(c.function.name)),
+            *self._lines(f"{degrees}:NPLCycles", Number(), set_nplc, lambda c: f"{c.nplc:+.8E}"),
+            *self._lines("UNIT:TEMPerature", Choice(("C", "F", "K")), _set_unit, lambda _: "C"),
+            *(
+                Command(
+                    f"{degrees}:TRANsducer{of}?", partial(self._of_probe, show), (ChannelList(optional=True),)
+                )
+                for of, show in _OF_PROBE.items()
+            ),
+        ]
+
+    def _of_probe(self, show: Callable[[Transducer], str], channels: str = "") -> str:
+        probes = [self._channels[channel][0].transducer or Transducer() for channel in self._of(channels)]
+        return ",".join(map(show, probes))
+
+    def _lines(
+        self,
+        notation: str,
+        parameter: CommandParameter,
+        change: Callable[[ChannelConfiguration, Value], None],
+        show: Callable[[ChannelConfiguration], str],
+    ) -> list[Command]:
+        """Return command and query of a setting; without a channel list they concern the scan list."""
+
+        def command(value: Value, channels: str = "") -> None:
+            for channel in self._of(channels):
+                change(self._channels[channel][0], value)
+
+        def query(channels: str = "") -> str:
+            return ",".join(show(self._channels[channel][0]) for channel in self._of(channels))
+
+        optional = ChannelList(optional=True)
+        return [
+            Command(notation, command, (parameter, optional)),
+            Command(f"{notation}?", query, (optional,)),
+        ]
+
+    def _of(self, text: str) -> tuple[int, ...]:
+        """Return the channels of a list, those of the scan list when it was left out (305: there is none)."""
+        channels = listed(text, self.cards) if text else self.scan.channel_list
+        if not channels:
+            raise ScpiError(305)
+        return channels
+
+    def _split(self, values: tuple[Value, ...]) -> tuple[tuple[Value, ...], tuple[int, ...]]:
+        """Return the values before a channel list, and its channels. Raises `ScpiError` 309 for two lists."""
+        if any(str(value).startswith("(") for value in values[:-1]):
+            raise ScpiError(309)
+        if values and str(values[-1]).startswith("("):
+            return values[:-1], self._of(str(values[-1]))
+        return values, self._of("")
+
+    # --- scan list, relays, system ------------------------------------------------------------------
+
+    def _route_commands(self) -> list[Command]:
+        channels = (ChannelList(),)
+        return [
+            Command("ROUTe:SCAN", lambda text: self.scan.define(listed(text, self.cards)), channels),
+            Command("ROUTe:SCAN?", self._scan_list),
+            Command("ROUTe:SCAN:SIZE?", lambda: integer(len(self.scan.channel_list))),
+            Command("ROUTe:CLOSe", lambda text: self._closed.update(self._of(text)), channels),
+            Command("ROUTe:OPEN", lambda text: self._closed.difference_update(self._of(text)), channels),
+            Command("ROUTe:CLOSe?", partial(self._relays, True), channels),
+            Command("ROUTe:OPEN?", partial(self._relays, False), channels),
+        ]
+
+    def _scan_list(self) -> str:
+        text = f"(@{','.join(map(str, self.scan.channel_list))})"
+        return f"#{len(str(len(text)))}{len(text)}{text}"
+
+    def _relays(self, closed: bool, text: str) -> str:
+        return ",".join(str(int((channel in self._closed) is closed)) for channel in self._of(text))
+
+    def _system_commands(self) -> list[Command]:
+        return [
+            Command("SYSTem:CTYPe?", self._card, (Number(words=()),)),
+            Command("INSTrument:DMM?", lambda: "1"),
+            Command("INSTrument:DMM:INSTalled?", lambda: "1"),
+        ]
+
+    def _card(self, slot: float) -> str:
+        if slot not in _SLOTS:
+            raise ScpiError(-222)
+        card = self.cards.get(int(slot))
+        return "HEWLETT-PACKARD,0,0,0" if card is None else f"HEWLETT-PACKARD,{card},0,2.3"
+
+
+_OF_PROBE: Final[dict[str, Callable[[Transducer], str]]] = {
+    ":TYPE": lambda probe: probe.kind,
+    ":RTD:TYPE": lambda probe: f"{probe.type:+d}",
+    ":FRTD:TYPE": lambda probe: f"{probe.type:+d}",
+    ":THERmistor:TYPE": lambda probe: f"{probe.type:+d}",
+    ":RTD:RESistance[:REFerence]": lambda _: "+1.00000000E+02",
+    ":FRTD:RESistance[:REFerence]": lambda _: "+1.00000000E+02",
+}
+
+
+def _set_unit(_channel: ChannelConfiguration, unit: Value) -> None:
+    if unit != "C":
+        raise ScpiError(-224)
+
+
+def _set_autorange(channel: ChannelConfiguration, flag: Value) -> None:
+    channel.settings.autorange = flag == "1"
+
+
+def _set_autozero(channel: ChannelConfiguration, flag: Value) -> None:
+    # ONCE takes one zero reading and then leaves autozero off.
+    channel.autozero = flag == "1"
+
+
+def _set_impedance(channel: ChannelConfiguration, flag: Value) -> None:
+    channel.high_impedance = flag == "1"
+
+
+def _set_automatic_delay(channel: ChannelConfiguration, flag: Value) -> None:
+    channel.stated_delay_s = None if flag == "1" else channel.delay_s
+
+
+def _set_function(_channel: ChannelConfiguration, name: Value) -> None:
+    if not notation_pattern(DC_VOLTS.notation).match(str(name).strip()):
+        raise ScpiError(-224)
+
+
+_PLACE: Final = 3
+"""Behind the three meters of the signals."""
+_LEADS_OHM: Final = 0.5
+_OHM_PER_K: Final = 0.385
+
+
+class Probe:
+    """A sensor of the kind `sensor` (`SENSORS`), off by `error_c`; `air_share` of what it feels is the air's.
+
+    Its noise has the standard deviation `noise_c`. To a meter that measures volts there it is a short.
+    """
+
+    def __init__(
+        self, world: World, sensor: str, *, error_c: float = 0.0, noise_c: float = 0.0, air_share: float = 0.0
+    ) -> None:
+        self._world = world
+        self._sensor = SENSORS[sensor]
+        self._error_c = error_c
+        self._noise_c = noise_c
+        self._air_share = air_share
+        self._reading = 0
+
+    @property
+    def place(self) -> int:
+        """Which of the bench's meters stands here, where it has one of its own."""
+        return _PLACE
+
+    @property
+    def temperature_c(self) -> float:
+        """The temperature of the room in which the meter stands, °C."""
+        return self._world.settings.ambient_c
+
+    def signal_v(self, time_s: float | None = None) -> float:
+        """Return the voltage at the channel, V."""
+        return 0.0
+
+    def new_reading(self) -> None:
+        """Say that a reading was triggered."""
+        self._reading = self._world.count("thermometer")
+
+    def random(self, purpose: str) -> np.random.Generator:
+        """Return the generator for a purpose within the present reading."""
+        return self._world.random(purpose, "thermometer", self._reading)
+
+    def fixed_random(self, purpose: str) -> np.random.Generator:
+        """Return the generator for something that the meter has for good."""
+        return self._world.fixed_random(purpose, "thermometer")
+
+    def shown_c(self, configured: str, time_s: float) -> float:
+        """Return what a meter shows that takes it for the sensor that CONF:TEMP named, "FRTD,85", °C.
+
+        As two wires a Pt100 with four has its leads in it; thermistor and Pt100 are out of each other's range.
+        """
+        block_c = self._world.block_c_at(time_s)
+        felt_c = block_c + self._air_share * (self._world.chamber_c - block_c) + self._error_c
+        felt_c += self._noise_c * float(self.random("thermometer noise").standard_normal())
+        if configured == self._sensor.configured:
+            return felt_c
+        if configured == "RTD,85" and self._sensor.configured == "FRTD,85":
+            return felt_c + _LEADS_OHM / _OHM_PER_K
+        return OVERLOAD_V
+
+
+def meter_with_probe(
+    world: World,
+    *,
+    channel: int,
+    sensor: str,
+    error_c: float = 0.0,
+    noise_c: float = 0.0,
+    air_share: float = 0.0,
+    **options: object,
+) -> Keysight34970A:
+    """Return a meter with nothing but a sensor on a channel."""
+    probe = Probe(world, sensor, error_c=error_c, noise_c=noise_c, air_share=air_share)
+    return Keysight34970A({channel: probe}, world.clock, **options)  # type: ignore[arg-type]

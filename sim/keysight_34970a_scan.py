@@ -1,0 +1,393 @@
+"""Channels and scans of the simulated 34970A."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
+
+from drivers.facts import keysight_34970a as facts
+from drivers.facts.agilent_34401a import OVERLOAD_V
+from drivers.facts.keysight_34970a import MEMORY_READINGS, PAIRED
+from sim.agilent_34401a.functions import Function, FunctionSettings, chosen_range, chosen_resolution
+from sim.scpi import Command
+from sim.scpi_values import DEF, INF, MAX, MIN, Boolean, Choice, Number, ScpiError, Value, integer, within
+from sim.voltmeters import MeasuringCycle, reading_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    import numpy as np
+
+    from drivers.clock import Clock
+    from sim.voltmeters import Converter, MeteredSignal
+
+# --- channels ---------------------------------------------------------------------------------------
+
+TEMPERATURE: Final = Function("TEMP", "TEMPerature", "C", (1.0,), facts.NPLC_BY_RESOLUTION, "TEMPerature")
+KINDS: Final = ("TCouple", "RTD", "FRTD", "THERmistor")
+_TYPES: Final = {"RTD": (85, 91), "FRTD": (85, 91), "THER": (2252, 5000, 10000)}
+_ILLEGAL: Final = -224
+_NOT_HERE: Final = 305
+
+
+@dataclass(frozen=True, slots=True)
+class Transducer:
+    """The probe that a channel is set to: its kind as in replies, and its type."""
+
+    kind: str = "TC"
+    type: int = 85
+
+    @property
+    def configured(self) -> str:
+        """As CONFigure:TEMPerature names it: "FRTD,85"."""
+        return f"{self.kind},{self.type}"
+
+    @classmethod
+    def of(cls, kind: str, written: Value, channel: int) -> Transducer:
+        """Return the probe of a command. Raises `ScpiError` -224, 305 for four wires on the second bank."""
+        known = _TYPES.get(kind)
+        if known is None:
+            raise ScpiError(_ILLEGAL)
+        if kind == "FRTD" and channel % 100 not in PAIRED:
+            raise ScpiError(_NOT_HERE)
+        number = known[-2] if written == DEF else int(float(written))
+        if number not in known:
+            raise ScpiError(_ILLEGAL)
+        return cls(kind, number)
+
+
+DC_VOLTS: Final = Function(
+    "VOLT", "VOLTage[:DC]", "V", facts.RANGES_V, facts.NPLC_BY_RESOLUTION, "VOLTage[:DC]"
+)
+CARDS: Final = {facts.CARD: (*facts.CARD_CHANNELS, *facts.CURRENT_CHANNELS)}
+
+WRONG_LIST: Final = 309
+NO_MODULE: Final = 302
+NO_CHANNEL: Final = 304
+
+_DEFAULT_RESOLUTION: Final = 3e-6
+_AUTOMATIC_DELAY_S: Final = 2e-3
+_LIST: Final = re.compile(r"\(\s*@\s*([0-9:,\s]*)\)")
+_ITEM: Final = re.compile(r"(\d{3})(?::(\d{3}))?")
+
+
+class ChannelList:
+    """A channel list as a parameter, `(@101:103,105)`; alone, or where a number or word may stand first.
+
+    The value of a list is its text; `listed` makes the channels of it.
+    """
+
+    def __init__(self, or_number: Number | None = None, optional: bool = False) -> None:
+        self.optional = optional
+        self._number = or_number
+
+    def parse(self, text: str) -> Value:
+        """Return the text of a list, or the value of the number."""
+        if text.startswith("("):
+            return text
+        if self._number is None:
+            raise ScpiError(WRONG_LIST)
+        return self._number.parse(text)
+
+
+def listed(text: str, cards: Mapping[int, str]) -> tuple[int, ...]:
+    """Return the channels of a list as they are written, `(101, 102, 103, 105)`.
+
+    `cards` holds the card in each slot (100, 200, 300). Raises `ScpiError` 309 for another form, 302 where
+    there is no card, 304 where the card has no such channel; within a range those are passed over.
+    """
+    match = _LIST.fullmatch(text)
+    if match is None:
+        raise ScpiError(WRONG_LIST)
+    channels: list[int] = []
+    inner = match.group(1).replace(" ", "")
+    for item in inner.split(",") if inner else []:
+        ends = _ITEM.fullmatch(item)
+        if ends is None:
+            raise ScpiError(WRONG_LIST)
+        first, last = int(ends.group(1)), int(ends.group(2) or ends.group(1))
+        for end in (first, last):
+            if 100 * (end // 100) not in cards:
+                raise ScpiError(NO_MODULE)
+            if not _exists(end, cards):
+                raise ScpiError(NO_CHANNEL)
+        channels += [channel for channel in range(first, last + 1) if _exists(channel, cards)]
+    return tuple(channels)
+
+
+def _exists(channel: int, cards: Mapping[int, str]) -> bool:
+    card = cards.get(100 * (channel // 100))
+    return card is not None and channel % 100 in CARDS[card]
+
+
+class ChannelConfiguration:
+    """How one channel is measured; a `Measurement`. With a `transducer` it is a temperature."""
+
+    bandwidth_hz = 20.0
+
+    def __init__(self) -> None:
+        self.preset()
+
+    def preset(self) -> None:
+        """Set what *RST and CONFigure set: autorange, 1 PLC, autozero, 10 MOhm, automatic delay."""
+        self.settings = FunctionSettings(10.0, _DEFAULT_RESOLUTION, 0.0)
+        self.autozero = True
+        self.high_impedance = False
+        self.stated_delay_s: float | None = None
+        self.transducer: Transducer | None = None
+
+    @property
+    def function(self) -> Function:
+        """The measuring function."""
+        return DC_VOLTS if self.transducer is None else TEMPERATURE
+
+    @property
+    def nplc(self) -> float:
+        """Integration in power-line cycles."""
+        return facts.NPLC_BY_RESOLUTION[self.settings.resolution]
+
+    @property
+    def delay_s(self) -> float:
+        """From the closing of the relay to the beginning of the sample, s."""
+        return _AUTOMATIC_DELAY_S if self.stated_delay_s is None else self.stated_delay_s
+
+    def configure(self, range_value: Value, resolution: Value) -> None:
+        """CONFigure:VOLTage:DC. Raises `ScpiError` -222, 532; nothing is changed then."""
+        chosen = self.settings.range_value if range_value == DEF else chosen_range(DC_VOLTS, range_value)
+        fraction = (
+            _DEFAULT_RESOLUTION if resolution == DEF else chosen_resolution(DC_VOLTS, resolution, chosen)
+        )
+        self.preset()
+        self.settings.range_value = chosen
+        self.settings.autorange = range_value == DEF
+        self.settings.resolution = fraction
+
+    def measure_temperature(self, transducer: Transducer) -> None:
+        """CONFigure:TEMPerature."""
+        self.preset()
+        self.transducer = transducer
+
+    def set_delay(self, delay_s: float) -> None:
+        """Set the channel delay, s, in steps of 1 ms. Raises `ScpiError` -222."""
+        self.stated_delay_s = round(within(delay_s, 0.0, facts.LONGEST_CHANNEL_DELAY_S), 3)
+
+
+@runtime_checkable
+class HasSensor(Protocol):
+    """What is at a channel where a temperature can be measured."""
+
+    def shown_c(self, configured: str, time_s: float) -> float:
+        """Return what it shows as the sensor that is configured, °C."""
+        ...
+
+
+class CardInput:
+    """One channel of the card, a `MeteredSignal`: what is wired to it, seen through the converter all share.
+
+    `common` stands for the meter itself, whose gain and offset are the same for all channels. With nothing
+    wired (`wired` None) the open input reads zero.
+    """
+
+    def __init__(self, wired: MeteredSignal | None, common: MeteredSignal) -> None:
+        self._wired = wired
+        self._common = common
+
+    @property
+    def place(self) -> int:
+        """Which of the bench's meters stands here."""
+        return self._common.place
+
+    @property
+    def temperature_c(self) -> float:
+        """The temperature at the meter, °C."""
+        return self._common.temperature_c
+
+    def signal_v(self, time_s: float | None = None) -> float:
+        """Return the voltage at the channel, V."""
+        return 0.0 if self._wired is None else self._wired.signal_v(time_s)
+
+    def shown_c(self, configured: str, time_s: float) -> float:
+        """Return what a sensor at the channel shows as the one that is configured, °C; beyond all for no sensor."""
+        return self._wired.shown_c(configured, time_s) if isinstance(self._wired, HasSensor) else OVERLOAD_V
+
+    def new_reading(self) -> None:
+        """Say that a reading was triggered."""
+        if self._wired is not None:
+            self._wired.new_reading()
+
+    def random(self, purpose: str) -> np.random.Generator:
+        """Return the generator for a purpose within the present reading of this channel."""
+        return (self._wired or self._common).random(purpose)
+
+    def fixed_random(self, purpose: str) -> np.random.Generator:
+        """Return the generator for something that the meter has for good."""
+        return self._common.fixed_random(purpose)
+
+
+# --- scans ------------------------------------------------------------------------------------------
+# A trigger starts one sweep of the scan list: relay, channel delay, sample, then the next channel.
+# Source: 34970A User's Guide (34970-90003), chapter 4 "Scanning", chapter 5 "Scanning Commands",
+# "Reading Format Commands", "Scan Memory Commands".
+
+_MOST_SWEEPS: Final = 50_000
+_LONGEST_TIMER_S: Final = 359_999.0
+_RELAY_S: Final = 4e-3
+_CANNOT: Final = 305
+_INFINITE: Final = "+9.90000200E+37"
+_EXTRAS: Final = ("UNIT", "TIME", "CHANnel", "ALARm")
+
+
+class Scan(MeasuringCycle):
+    """Scan list, trigger settings, the scan under way, and the memory, which keeps the latest readings.
+
+    `channels` holds settings and converter of each channel, `inputs` what is at it. An endless scan (TRIGger:COUNt
+    INFinity) can be set but not started here (305), nor one of more readings than the memory holds.
+    """
+
+    memory_depth = MEMORY_READINGS
+    starts_itself = ("IMM", "TIM")
+
+    def __init__(
+        self,
+        clock: Clock,
+        channels: Mapping[int, tuple[ChannelConfiguration, Converter]],
+        inputs: Mapping[int, CardInput],
+        on_overload: Callable[[], None],
+        interrupted: Callable[[], bool],
+    ) -> None:
+        self._channels = channels
+        self._inputs = inputs
+        self._on_overload = on_overload
+        self.channel_list: tuple[int, ...] = ()
+        self._due: list[tuple[int, float]] = []
+        self._began_s = 0.0
+        super().__init__(clock, interrupted)
+
+    def preset(self) -> None:
+        """Set what *RST, CONFigure and MEASure set: one immediate sweep, readings alone."""
+        self.source = "IMM"
+        self.count: float = 1
+        self.timer_s = 0.0
+        self.extras = dict.fromkeys((word.upper()[:4] for word in _EXTRAS), False)
+
+    def abort(self) -> None:
+        """ABORt, device clear: go to idle; nothing is left in memory."""
+        super().abort()
+        self._due = []
+
+    def define(self, channels: tuple[int, ...]) -> None:
+        """Set the scan list: it is scanned in rising order, each channel once."""
+        self.channel_list = tuple(sorted(set(channels)))
+
+    # --- measuring ----------------------------------------------------------------------------------
+
+    def initiate(self) -> None:
+        """INITiate: scan into memory. Raises `ScpiError` -213 while scanning, 305 as the class says."""
+        self._begin(keeps=True)
+
+    def read(self) -> str | None:
+        """READ?: scan and return the readings, which are not stored. Raises as `initiate`, -214."""
+        if self.source == "BUS":
+            raise ScpiError(-214)
+        self._begin(keeps=False)
+        return self._outcome()
+
+    def remove(self, count: float) -> str:
+        """DATA:REMove?: return the oldest readings and take them out of memory; -222 if there are fewer."""
+        number = int(within(round(count), 1, max(1, len(self._memory))))
+        taken, self._memory = self._memory[:number], self._memory[number:]
+        if not taken:
+            raise ScpiError(-230)
+        return ",".join(taken)
+
+    def _begin(self, keeps: bool) -> None:
+        self._require_idle()
+        if not self.channel_list or self.count * len(self.channel_list) > self.memory_depth:
+            raise ScpiError(_CANNOT)
+        self._began_s = self._clock.now_s()
+        for channel in self.channel_list:
+            self._channels[channel][1].begin()
+        self._start(self.count, keeps=keeps)
+
+    def _schedule(self, triggers: int) -> None:
+        """Fix when the samples of the next sweeps are taken, each in mid-integration."""
+        start_s = now_s = self._clock.now_s()
+        for sweep in range(triggers):
+            if self.source == "TIM":
+                now_s = max(now_s, start_s + sweep * self.timer_s)
+            for channel in self.channel_list:
+                configuration, converter = self._channels[channel]
+                now_s += _RELAY_S + configuration.delay_s
+                self._due.append((channel, now_s + converter.integration_s(configuration) / 2.0))
+                now_s += converter.sample_s(configuration)
+        self._measures_until(now_s, triggers)
+
+    def _taken(self) -> Iterator[str]:
+        for channel, time_s in self._due:
+            configuration, converter = self._channels[channel]
+            transducer = configuration.transducer
+            if transducer is None:
+                value = converter.sample(configuration, time_s)
+            else:
+                value = self._inputs[channel].shown_c(transducer.configured, time_s)
+            if abs(value) >= OVERLOAD_V:
+                self._on_overload()
+            yield self._text(channel, time_s, value, converter.step(configuration))
+        self._due = []
+
+    def _text(self, channel: int, time_s: float, value: float, step: float) -> str:
+        text = reading_text(value, step) + (" VDC" if self.extras["UNIT"] else "")
+        if self.extras["TIME"]:
+            text += f",{time_s - self._began_s:013.3f}"
+        if self.extras["CHAN"]:
+            text += f",{channel}"
+        return text + (",0" if self.extras["ALAR"] else "")
+
+    # --- commands -----------------------------------------------------------------------------------
+
+    def commands(self) -> list[Command]:
+        """Return the lines of the command table for triggering, memory and reading format."""
+        count = (Number(words=(MIN, MAX, INF)),)
+        source = (Choice(("BUS", "IMMediate", "EXTernal", "TIMer")),)
+        lines = [
+            Command("ABORt", self.abort),
+            Command("INITiate", self.initiate),
+            Command("READ?", self.read),
+            Command("FETCh?", self.fetch),
+            Command("*TRG", lambda: self.trigger("BUS")),
+            Command("TRIGger:SOURce", self._set_source, source),
+            Command("TRIGger:SOURce?", lambda: self.source),
+            Command("TRIGger:COUNt", self._set_count, count),
+            Command("TRIGger:COUNt?", lambda: _INFINITE if math.isinf(self.count) else f"{self.count:+.8E}"),
+            Command("TRIGger:TIMer", self._set_timer, (Number("S"),)),
+            Command("TRIGger:TIMer?", lambda: f"{self.timer_s:+.8E}"),
+            Command("DATA:POINts?", lambda: integer(len(self._memory))),
+            Command("DATA:REMove?", self.remove, (Number(words=()),)),
+        ]
+        for word in _EXTRAS:
+            lines += self._extra_lines(word)
+        return lines
+
+    def _extra_lines(self, word: str) -> list[Command]:
+        key = word.upper()[:4]
+
+        def switch(flag: str) -> None:
+            self.extras[key] = flag == "1"
+
+        return [
+            Command(f"FORMat:READing:{word}", switch, (Boolean(),)),
+            Command(f"FORMat:READing:{word}?", lambda: str(int(self.extras[key]))),
+        ]
+
+    def _set_source(self, source: str) -> None:
+        self.source = source
+
+    def _set_count(self, value: Value) -> None:
+        words = {MIN: 1.0, MAX: float(_MOST_SWEEPS), INF: math.inf}
+        self.count = words[value] if isinstance(value, str) else within(round(value), 1, _MOST_SWEEPS)
+
+    def _set_timer(self, value: Value) -> None:
+        words = {MIN: 0.0, MAX: _LONGEST_TIMER_S}
+        self.timer_s = words[value] if isinstance(value, str) else within(value, 0.0, _LONGEST_TIMER_S)

@@ -1,1 +1,0 @@
-"""What simulated SCPI instruments share: commands, values, status."""

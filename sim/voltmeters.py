@@ -1,0 +1,488 @@
+"""What simulated voltmeters share: a converter of readings, the measuring cycle, a line that is remote or local."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from enum import Enum
+from typing import TYPE_CHECKING, Final, Literal, Protocol
+
+from drivers.facts.agilent_34401a import OVERLOAD_V
+from sim.scpi import Command, DeviceClear, ScpiInstrument, never
+from sim.scpi_values import ScpiError
+from sim.world.clock import VirtualClock, wait_until
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from types import ModuleType
+
+    import numpy as np
+
+    from drivers.clock import Clock
+    from sim.agilent_34401a.functions import Function, FunctionSettings
+
+# --- the converter ----------------------------------------------------------------------------------
+# Source: 34401A User's Guide (34401-90004), chapter 8, specifications; noise per integration time as
+# measured on meters of this class.
+
+Accuracy = Literal["90 days"] | Mapping[float, tuple[float, float]]
+"""The errors of a simulated meter: drawn within limits of 90 days, or by range a gain error and an offset, V."""
+
+_NOISE_OF_RANGE: Final = {
+    200.0: 0.8e-7, 100.0: 1e-7, 20.0: 2e-7, 10.0: 2.5e-7, 2.0: 6e-7, 1.0: 8e-7, 0.2: 3e-6, 0.02: 3e-5,
+}  # fmt: skip
+"""Standard deviation of one sample as a fraction of the range, for each NPLC."""
+
+_NOISE_OF_INPUT_V: Final = 0.4e-6
+"""Noise of the input amplifier at 1 NPLC, V: it decides on the 100 mV range."""
+
+_FAST_INTEGRATION_S: Final = {0.02: 400e-6, 0.2: 3e-3}
+_AC_SETTLING_S: Final = {3.0: 7.0, 20.0: 1.0, 200.0: 0.6}
+_COUNTER_SETTLING_S: Final = 1.0
+_DC_SETTLING_S: Final = 1.5e-3
+_DC_FAST_SETTLING_S: Final = 1.0e-3
+_QUICK_TEST_S: Final = 3e-3
+
+
+class MeteredSignal(Protocol):
+    """What a meter is wired to: one channel of the world."""
+
+    @property
+    def place(self) -> int:
+        """Which of the bench's meters stands here, from 0: each has a serial number of its own."""
+        ...
+
+    @property
+    def temperature_c(self) -> float:
+        """The temperature at the meter, °C."""
+        ...
+
+    def signal_v(self, time_s: float | None = None) -> float:
+        """Return the voltage at the terminals now, or as it was at `time_s` of the clock, V."""
+        ...
+
+    def new_reading(self) -> None:
+        """Say that a reading was triggered."""
+        ...
+
+    def random(self, purpose: str) -> np.random.Generator:
+        """Return the generator for a purpose within the present reading."""
+        ...
+
+    def fixed_random(self, purpose: str) -> np.random.Generator:
+        """Return the generator for something that this meter has for good."""
+        ...
+
+
+class Measurement(Protocol):
+    """How a sample is to be taken: what the converter has to know of a meter's settings."""
+
+    @property
+    def function(self) -> Function:
+        """The measuring function."""
+        ...
+
+    @property
+    def settings(self) -> FunctionSettings:
+        """Its range, which autorange changes, and its resolution."""
+        ...
+
+    @property
+    def nplc(self) -> float:
+        """Integration in power-line cycles, or the gate time in s where it counts."""
+        ...
+
+    @property
+    def autozero(self) -> bool:
+        """Whether the zero is measured with each sample."""
+        ...
+
+    @property
+    def bandwidth_hz(self) -> float:
+        """The slowest alternating signal that is measured right, Hz."""
+        ...
+
+
+class Converter:
+    """Turns the voltage at the terminals into readings, as the `facts` of a meter say of its ranges and errors.
+
+    With `noise` a sample has white noise by its integration time and is rounded to the resolution; without,
+    it is the exact value (a reply still carries 8 decimals). With `accuracy` the meter has a gain and an
+    offset of its own for each range, drawn once within half the limits of error, and a temperature
+    coefficient; or those errors that are given. The terminals carry a DC voltage and nothing else: AC functions,
+    current, frequency and period read zero, resistance, continuity and diode see open leads, the ratio has no
+    reference. While `overloaded` is set, every sample is beyond the range.
+    """
+
+    def __init__(
+        self,
+        source: MeteredSignal,
+        facts: ModuleType,
+        *,
+        noise: bool,
+        accuracy: Accuracy | None,
+        line_hz: float,
+    ) -> None:
+        self._source = source
+        self._facts = facts
+        self._noise = noise
+        self._accuracy = accuracy
+        self._line_hz = line_hz
+        self._errors: dict[float, tuple[float, float, float, float]] = {}
+        self._generator: np.random.Generator | None = None
+        self.overloaded = False
+
+    # --- time ---------------------------------------------------------------------------------------
+
+    def integration_s(self, configuration: Measurement) -> float:
+        """Return how long the signal is integrated for one sample, s."""
+        function = configuration.function
+        if function.has_aperture:
+            return configuration.nplc
+        if not function.has_nplc:
+            return _QUICK_TEST_S
+        return _FAST_INTEGRATION_S.get(configuration.nplc, configuration.nplc / self._line_hz)
+
+    def sample_s(self, configuration: Measurement) -> float:
+        """Return how long one sample takes without its delay, s; autozero measures the zero as long again."""
+        doubled = configuration.function.has_nplc and configuration.autozero
+        return self.integration_s(configuration) * (2.0 if doubled else 1.0)
+
+    def settling_s(self, configuration: Measurement) -> float:
+        """Return the automatic trigger delay, s."""
+        function = configuration.function
+        if function.name.endswith(":AC"):
+            return _AC_SETTLING_S[configuration.bandwidth_hz]
+        if function.has_aperture:
+            return _COUNTER_SETTLING_S
+        return _DC_SETTLING_S if configuration.nplc >= 1.0 else _DC_FAST_SETTLING_S
+
+    # --- value --------------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """A measurement was initiated: tell the source, and take the noise that belongs to it."""
+        self._source.new_reading()
+        self._generator = self._source.random("voltmeter noise") if self._noise else None
+
+    def sample(self, configuration: Measurement, time_s: float) -> float:
+        """Return one sample of the selected function, taken at `time_s`; ±`OVERLOAD_V` outside the range.
+
+        Autorange changes the range in the settings, as on the meter.
+        """
+        if self.overloaded:
+            return OVERLOAD_V
+        match configuration.function.name:
+            case "VOLT":
+                return self._volts(configuration, self._source.signal_v(time_s))
+            case "RES" | "FRES" | "CONT" | "DIOD" | "VOLT:RAT":
+                return OVERLOAD_V
+            case _:
+                return 0.0
+
+    def step(self, configuration: Measurement) -> float:
+        """Return the step to which samples are rounded, 0 when they are not."""
+        settings = configuration.settings
+        return settings.range_value * settings.resolution if self._noise else 0.0
+
+    def _volts(self, configuration: Measurement, signal_v: float) -> float:
+        settings = configuration.settings
+        if settings.autorange:
+            settings.range_value = self._autorange(signal_v, settings.range_value)
+        range_v = settings.range_value
+        if abs(signal_v) > self._full_scale(range_v):
+            return math.copysign(OVERLOAD_V, signal_v)
+        value_v = self._with_errors(signal_v, range_v)
+        if self._generator is None:
+            return value_v
+        nplc = configuration.nplc
+        sigma_v = math.hypot(_noise_of_range(nplc) * range_v, _NOISE_OF_INPUT_V / math.sqrt(nplc))
+        step_v = self.step(configuration)
+        return round((value_v + sigma_v * float(self._generator.standard_normal())) / step_v) * step_v
+
+    def _with_errors(self, signal_v: float, range_v: float) -> float:
+        if self._accuracy is None:
+            return signal_v
+        if not isinstance(self._accuracy, str):
+            known_gain, known_v = self._accuracy.get(range_v, (0.0, 0.0))
+            return signal_v * (1.0 + known_gain) + known_v
+        if range_v not in self._errors:
+            draws = self._source.fixed_random(f"voltmeter accuracy {range_v:g} V").uniform(-0.5, 0.5, 4)
+            limits = (*self._facts.ACCURACY_90_DAYS[range_v], *self._facts.TEMPERATURE_COEFFICIENT[range_v])
+            gain, offset, gain_per_c, offset_per_c = (
+                float(d * m) for d, m in zip(draws, limits, strict=True)
+            )
+            self._errors[range_v] = (gain, offset, gain_per_c, offset_per_c)
+        gain, offset, gain_per_c, offset_per_c = self._errors[range_v]
+        from_reference_c = self._source.temperature_c - self._facts.REFERENCE_C
+        beyond_c = max(0.0, abs(from_reference_c) - self._facts.REFERENCE_WIDTH_C)
+        outside_c = math.copysign(beyond_c, from_reference_c)
+        gain += gain_per_c * outside_c
+        offset += offset_per_c * outside_c
+        return signal_v * (1.0 + gain) + range_v * offset
+
+    def _full_scale(self, range_v: float) -> float:
+        highest_v: float = self._facts.RANGES_V[-1]
+        return range_v if range_v == highest_v else range_v * float(self._facts.OVER_RANGE)
+
+    def _autorange(self, signal_v: float, range_v: float) -> float:
+        """Return the range for a signal: up where the present one is exceeded, down far below it."""
+        ranges: tuple[float, ...] = self._facts.RANGES_V
+        if abs(signal_v) > self._full_scale(range_v):
+            return next((r for r in ranges if abs(signal_v) <= self._full_scale(r)), ranges[-1])
+        index = ranges.index(range_v)
+        while index > 0 and abs(signal_v) < self._facts.UNDER_RANGE * ranges[index]:
+            index -= 1
+        return ranges[index]
+
+
+def _noise_of_range(nplc: float) -> float:
+    """Return the noise as a fraction of the range; between the integration times of the table by its slope."""
+    if nplc in _NOISE_OF_RANGE:
+        return _NOISE_OF_RANGE[nplc]
+    points = sorted((math.log(n), math.log(noise)) for n, noise in _NOISE_OF_RANGE.items())
+    upper = next((i for i, (x, _) in enumerate(points) if x > math.log(nplc)), len(points) - 1)
+    (x0, y0), (x1, y1) = points[max(0, upper - 1)], points[max(1, upper)]
+    return math.exp(y0 + (y1 - y0) * (math.log(nplc) - x0) / (x1 - x0))
+
+
+def reading_text(value: float, step: float) -> str:
+    """Format a reading, `SD.DDDDDDDDESDD`; a zero carries the exponent of the step it was rounded to."""
+    if value == 0.0:
+        exponent = math.floor(math.log10(step) + 1e-9) if step else 0
+        return f"+0.00000000E{exponent:+03d}"
+    return f"{value:+.8E}"
+
+
+# --- the line ---------------------------------------------------------------------------------------
+
+Interface = Literal["gpib", "rs232", "lan"]
+
+VOLT_OVERLOAD: Final = 1
+"""The bit of the questionable data register."""
+
+_ERRORS: Final = {
+    514: "Command allowed only with RS-232",
+    521: "Input buffer overflow",
+    522: "Output buffer overflow",
+    532: "Cannot achieve requested resolution",
+    550: "Command not allowed in local",
+}
+_REMOTE_COMMANDS: Final = ("SYSTem:LOCal", "SYSTem:REMote", "SYSTem:RWLock")
+_ALLOWED_IN_LOCAL: Final = (*_REMOTE_COMMANDS, "SYSTem:ERRor?", "*IDN?", "*CLS", "*ESR?", "*STB?")
+_SCPI_VERSION: Final = "1994.0"
+
+
+class LineMeter(ScpiInstrument):
+    """The base of the meters.
+
+    `interface` is what a meter believes to be connected by: "rs232" refuses (+550) all but identification,
+    errors and SYSTem:REMote until that was sent, "gpib" refuses the SYSTem:REMote family (+514), "lan" takes
+    both and needs neither. `errors` are the texts that the model has beside those of the line.
+    """
+
+    beside_measuring: tuple[str, ...] = ()
+    """The commands that do not wait for a measurement under way."""
+
+    def __init__(self, identity: str, errors: Mapping[int, str], interface: Interface) -> None:
+        super().__init__(identity, {**_ERRORS, **errors})
+        self.interface = interface
+        self._remote = False
+        self._locked = False
+        self.add(self._remote_commands())
+
+    # --- what a model says --------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def cycle(self) -> MeasuringCycle:
+        """Its trigger system."""
+
+    @property
+    @abstractmethod
+    def converters(self) -> Sequence[Converter]:
+        """Its converter, as each of its inputs has it."""
+
+    # --- what the wire and the bench do -------------------------------------------------------------
+
+    def admit(self, command: Command) -> None:
+        """Refuse what the interface does not allow, and wait for a measurement under way."""
+        if self.interface == "gpib" and command.notation in _REMOTE_COMMANDS:
+            raise ScpiError(514)
+        if self.interface == "rs232" and not self._remote and command.notation not in _ALLOWED_IN_LOCAL:
+            raise ScpiError(550)
+        if command.notation not in self.beside_measuring:
+            self.cycle.complete()
+
+    def device_clear(self) -> None:
+        """Stop measuring and go to idle; settings, errors and status stay."""
+        self.cycle.abort()
+
+    def input_overflow(self) -> None:
+        """Take note that a message was longer than the input buffer."""
+        self.report(521)
+
+    def power_cycle(self) -> None:
+        """Switch off and on: the settings are gone, all but what a model keeps."""
+        super().power_cycle()
+        self._set_remote(False)
+
+    def press_local(self) -> None:
+        """Press LOCAL on the front panel: an RS-232 meter refuses commands until SYSTem:REMote.
+
+        Locked by SYSTem:RWLock the key does nothing.
+        """
+        if not self._locked:
+            self._remote = False
+
+    @property
+    def overloaded(self) -> bool:
+        """Whether the voltage at every input is beyond every range, whatever the sources say."""
+        return any(converter.overloaded for converter in self.converters)
+
+    @overloaded.setter
+    def overloaded(self, overloaded: bool) -> None:
+        for converter in self.converters:
+            converter.overloaded = overloaded
+
+    # --- commands -----------------------------------------------------------------------------------
+
+    def _remote_commands(self) -> list[Command]:
+        return [
+            Command("SYSTem:VERSion?", lambda: _SCPI_VERSION),
+            Command("SYSTem:LOCal", lambda: self._set_remote(False)),
+            Command("SYSTem:REMote", lambda: self._set_remote(True)),
+            Command("SYSTem:RWLock", lambda: self._set_remote(True, locked=True)),
+        ]
+
+    def _set_remote(self, remote: bool, locked: bool = False) -> None:
+        self._remote = remote
+        self._locked = locked
+
+
+class TriggerState(Enum):
+    """Where the trigger system stands."""
+
+    IDLE = "idle"
+    WAITING = "waiting for a trigger"
+    MEASURING = "measuring"
+
+
+class MeasuringCycle(ABC):
+    """Idle, a start, wait for a trigger, measure; `source` says what gives the trigger.
+
+    `memory_depth` readings are kept, the latest; `interrupted` tells whether a device clear has come in. What a
+    client began that has left since is given up as soon as another would wait for it; on a virtual clock
+    nobody waits, and it goes on.
+    """
+
+    memory_depth: int
+    starts_itself: tuple[str, ...] = ("IMM",)
+    """The sources that need nobody to give a trigger."""
+
+    def __init__(self, clock: Clock, interrupted: Callable[[], bool]) -> None:
+        self._clock = clock
+        self._interrupted = interrupted
+        self._sender_left = self._beginner_left = never
+        self.source = "IMM"
+        self.preset()
+        self.abort()
+
+    @abstractmethod
+    def preset(self) -> None:
+        """Set what *RST, CONFigure and MEASure set."""
+
+    def abort(self) -> None:
+        """Go to idle and forget what is stored or under way."""
+        self.state = TriggerState.IDLE
+        self._memory: list[str] = []
+        self._readings: list[str] = []
+        self._finish_s = 0.0
+        self._triggers_left: float = 0
+        self._keeps = False
+
+    def sent_by(self, left: Callable[[], bool]) -> None:
+        """Take note that what is begun from now on is for a client of whom `left` tells whether it has left."""
+        if self._forsaken:
+            self.abort()
+        self._sender_left = left
+
+    def fetch(self) -> str:
+        """FETCh?: return what is in memory. Raises `ScpiError` -230 when there is nothing."""
+        if not self._memory:
+            raise ScpiError(-230)
+        return ",".join(self._memory)
+
+    def trigger(self, source: str) -> None:
+        """Measure for one trigger from "BUS" or "EXT"; -211 when the meter does not wait for it."""
+        if self.state is not TriggerState.WAITING or self.source != source:
+            raise ScpiError(-211)
+        self._schedule(1)
+
+    def complete(self) -> None:
+        """Wait for the measurement under way, if any, or until who began it has left.
+
+        Raises `DeviceClear` when one comes in meanwhile.
+        """
+        if self.state is not TriggerState.MEASURING:
+            return
+        if wait_until(self._clock, self._finish_s, lambda: self._interrupted() or self._forsaken):
+            self._collect()
+        elif self._interrupted():
+            raise DeviceClear
+        else:
+            self.abort()
+
+    @property
+    def in_progress(self) -> bool:
+        """Whether samples are still being taken at this moment."""
+        return self.state is TriggerState.MEASURING and self._clock.now_s() < self._finish_s
+
+    @property
+    def _forsaken(self) -> bool:
+        """Whether samples are being taken for a client that has left."""
+        return self._beginner_left() and self.in_progress and not isinstance(self._clock, VirtualClock)
+
+    @abstractmethod
+    def _schedule(self, triggers: int) -> None:
+        """Fix when the samples of the next triggers are taken, and say so to `_measures_until`."""
+
+    @abstractmethod
+    def _taken(self) -> Iterator[str]:
+        """Take the samples that are due, as texts, and forget that they are."""
+
+    def _require_idle(self) -> None:
+        """Raise `ScpiError` -213 when a measurement is under way."""
+        if self.state is TriggerState.MEASURING and not self.in_progress:
+            self._collect()
+        if self.state is not TriggerState.IDLE:
+            raise ScpiError(-213)
+
+    def _start(self, triggers: float, *, keeps: bool) -> None:
+        """Begin a measurement; its readings go to memory when it `keeps` them."""
+        self._memory, self._readings = [], []
+        self._keeps = keeps
+        self._triggers_left = triggers
+        if self.source in self.starts_itself:
+            self._schedule(int(triggers))
+        else:
+            self.state = TriggerState.WAITING
+
+    def _measures_until(self, finish_s: float, triggers: int) -> None:
+        self._finish_s = finish_s
+        self._beginner_left = self._sender_left
+        self._triggers_left -= triggers
+        self.state = TriggerState.MEASURING
+
+    def _outcome(self) -> str | None:
+        """Wait for the readings of READ?; None (no reply) while somebody must give the trigger."""
+        if self.state is TriggerState.WAITING:
+            return None
+        self.complete()
+        return ",".join(self._readings)
+
+    def _collect(self) -> None:
+        self._readings += self._taken()
+        if self._keeps:
+            self._memory = self._readings[-self.memory_depth :]
+        self.state = TriggerState.WAITING if self._triggers_left > 0 else TriggerState.IDLE
