@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from bench.config.bench_file.file import BenchFile as BenchFile
     from bench.readings.csv import ReadingsError as ReadingsError
     from bench.readings.table import Readings as Readings
+    from bench.results.budget import BudgetResult as BudgetResult
     from bench.run.events import RecordError as RecordError
-    from bench.services.budget import BudgetResult as BudgetResult
     from bench.services.budget import budget as budget
     from bench.services.calibration import CalibrationResult as CalibrationResult
     from bench.services.calibration import Coefficient as Coefficient
@@ -48,7 +48,8 @@ if TYPE_CHECKING:
 
 _HOMES: Final = {
     "bench.calibration": ("CalibrationError",),
-    "bench.services.budget": ("BudgetResult", "budget"),
+    "bench.results.budget": ("BudgetResult",),
+    "bench.services.budget": ("budget",),
     "bench.services.calibration": ("CalibrationResult", "Coefficient"),
     "bench.services.check_runs": ("chart",),
     "bench.services.check_block": ("CheckBlockChart",),

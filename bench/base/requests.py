@@ -26,7 +26,7 @@ class Option:
     """What a field of a request is to its user: a line of help, and how it is typed.
 
     `flags` are "--name" by default, of a flag that is on "--name/--no-name"; an `argument` has none. `completes`
-    names what completes it ("bench_files", …; `bench.cli.completing`), `least` the smallest number.
+    names what completes it ("bench_files", …; `bench.cli.completing`), `least` and `most` limit a number.
     `typed` is what the command line reads, where the field takes more (a table, a bench file at hand).
     """
 
@@ -37,6 +37,7 @@ class Option:
     completes: str | None = None
     environment: str | None = None
     least: float | None = None
+    most: float | None = None
     typed: Any = None
 
 

@@ -15,7 +15,7 @@ A member that a result has only sometimes has a default, and is left out of the 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict
 
@@ -42,6 +42,11 @@ class ResultModel(BaseModel):
     """Base of results and their parts: frozen, its members named in full, no NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
+
+    @classmethod
+    def from_object(cls, source: object) -> Self:
+        """Return the result of an object that has an attribute for each member."""
+        return cls.model_validate(source, from_attributes=True)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the members as JSON has them, without those that nobody set."""

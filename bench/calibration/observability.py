@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -261,19 +261,6 @@ class Observability:
     def determined(self) -> tuple[str, ...]:
         """The unknowns that the data alone give."""
         return tuple(name for name in self.names if name not in self.undetermined)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return it as JSON values."""
-        return {
-            "rank": self.rank,
-            "unknowns": self.columns,
-            "determined": list(self.determined),
-            "undetermined": list(self.undetermined),
-            "directions": [
-                {"kind": d.kind.name.lower(), "text": d.text(), "members": dict(d.members)}
-                for d in self.directions
-            ],
-        }
 
 
 # --- columns ----------------------------------------------------------------------------------------

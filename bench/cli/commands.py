@@ -56,7 +56,9 @@ COMMANDS: Final = {
 }  # fmt: skip
 """Every command with the first line of its help, in the order in which the help lists them."""
 
-MODULES: Final[Mapping[str, str]] = {}
+MODULES: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("check", "init", "budget", "require", "plan-points"), "planning"),
+}
 """The module of this room that holds a command, where it is not the one of its name."""
 
 HEADINGS: Final = {

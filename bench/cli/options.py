@@ -15,6 +15,7 @@ from typer.core import TyperCommand, TyperOption
 from bench.cli import completing
 from bench.cli.commands import Commands
 from bench.config.devices import FOLDERS
+from bench.services.requests.planning import ESTIMATORS_IN_A_BUDGET
 
 devices_given: ContextVar[tuple[str, ...]] = ContextVar("devices_given", default=())
 """The folders that `--devices` names, as they were typed."""
@@ -130,8 +131,7 @@ app = typer.Typer(
 )
 
 ESTIMATORS_TOLD: Final = "The estimators."
-ESTIMATORS_IN_A_BUDGET: Final = "The estimators, in a budget."
-"""Help texts that `WithEstimators` replaces by the names there are."""
+"""Help text that `WithEstimators` replaces by the names there are, as that of a budget."""
 
 
 class WithEstimators(TyperCommand):

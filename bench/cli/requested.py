@@ -64,6 +64,8 @@ def _parameter(field: RequestField, *, several: bool) -> inspect.Parameter:
         common["autocompletion"] = getattr(completing, option.completes)
     if option.least is not None:
         common["min"] = option.least
+    if option.most is not None:
+        common["max"] = option.most
     info: Any = typer.Argument if option.argument else partial(typer.Option, *(option.flags or _flags(field)))
     return inspect.Parameter(
         field.name,

@@ -15,6 +15,7 @@ from bench.base.files import from_text, read_regular
 from bench.base.yaml_files import FileMistakes
 from bench.panel.launching import BENCH, Found, Wanted, WishFolder, last_words
 from bench.services.errors import Refused
+from bench.services.requests.planning import Check
 from bench.services.until import look_ahead
 
 
@@ -32,11 +33,10 @@ def main() -> None:
 def checked(wanted: Wanted, folder: Path) -> Found:
     """Return the findings of `bench check`; with what the dry run would refuse, it is not tried."""
     try:
-        findings = look_ahead(wanted.procedure, wanted.bench, folder)
+        findings = look_ahead(Check(wanted.procedure, bench=wanted.bench, runs=folder))
     except (Refused, FileMistakes) as mistakes:
         return Found("done", mistakes=str(mistakes))
-    told = findings.to_json()
-    return Found("done" if findings.problems or findings.unanswered else "trying", check=told)
+    return Found("trying" if findings.can_be_tried else "done", check=findings.result.to_dict())
 
 
 def tried(wish: WishFolder, found: Found) -> Found:

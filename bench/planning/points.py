@@ -135,6 +135,15 @@ class Points:
         """Return the standard uncertainty of one of the promise's goals, as a calibration will sign it."""
         return goal.u(self.promise.readings)
 
+    def worst_by_name(self) -> list[Goal]:
+        """Return of goals with the same name (directions of an acceleration) the one furthest from reached."""
+        found: dict[str, Goal] = {}
+        for goal in self.promise.goals:
+            known = found.setdefault(goal.name, goal)
+            if self.u(goal) / goal.asked > self.u(known) / known.asked:
+                found[goal.name] = goal
+        return list(found.values())
+
     @property
     def reached(self) -> bool:
         """Whether every goal is reached."""

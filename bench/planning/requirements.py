@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from scipy.optimize import brentq
@@ -99,21 +99,6 @@ class Limit:
         if self.u is None or math.isinf(self.u):
             return None
         return self.u / replace(self.source.distribution, limit=1.0).u
-
-    def to_json(self) -> dict[str, Any]:
-        """Return it as JSON values, in SI."""
-        finite = self.u is not None and math.isfinite(self.u)
-        return {
-            "name": self.source.name,
-            "symbol": self.source.symbol,
-            "unit": self.source.unit,
-            "verdict": self.verdict,
-            "u": self.u if finite else None,
-            "limit": self.stated,
-            "distribution": self.source.distribution.shape,
-            "k": self.source.distribution.k,
-            "u_now": self.source.u,
-        }
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -150,11 +150,6 @@ class Outlook:
     def open(self) -> list[str]:
         """The other directions that leave no trace."""
         return [d.text() for d in self.found.directions if d.kind is not DirectionKind.TURN]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return it as JSON values."""
-        remedies = [{"text": r.text, "determines": r.determines, "cost_s": r.cost_s} for r in self.remedies]
-        return {**self.found.to_json(), "remedies": remedies}
 
 
 @dataclass(frozen=True)

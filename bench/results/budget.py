@@ -1,29 +1,33 @@
-"""A budget as a page, its figures, and as text in the terminal."""
+"""The result of `bench budget`: as JSON, as text in the terminal, as a page with its figures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
 from markupsafe import Markup
+from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
 from bench.base.arrays import Floats
 from bench.base.computing import quiet
+from bench.base.files import write_whole
 from bench.base.numbers import fixed
-from bench.base.tables import table
-from bench.calibration.budget.acceleration import ExactResult
+from bench.base.result_model import Matrix, Real, ResultModel, Vector
+from bench.base.tables import as_html, as_text, table
+from bench.calibration.budget.acceleration import DIGITS, ExactResult
 from bench.calibration.budget.assessment import Assessment
-from bench.calibration.budget.coefficients import Budget
-from bench.calibration.budget.propagation import coverage_factor
+from bench.calibration.budget.coefficients import Contribution
+from bench.calibration.budget.propagation import correlation_of, coverage_factor
 from bench.calibration.conformity import DecisionRule
 from bench.calibration.verification import rule_in_words
 from bench.model.geometry import COEFFICIENTS
 from bench.results import tables
+from bench.results.parts import BenchPart
 from bench.results.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, drawn, svg_figure, symbol
 from bench.results.tables import Row
 from bench.results.template import page
@@ -31,6 +35,462 @@ from bench.results.template import page
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+Twelve = Annotated[Vector, Field(min_length=12, max_length=12)]
+Dof = Annotated[Real, Field(description="effective degrees of freedom; null for infinitely many")]
+BySource = Annotated[dict[str, float], Field(description="standard uncertainty from each error alone")]
+
+
+class ReadingCounts(ResultModel):
+    """How many readings of the procedure are fitted, and how many are verification points."""
+
+    fitted: int
+    verification: int
+
+
+class CoefficientPart(ResultModel):
+    """A coefficient, V/g or V."""
+
+    value: float
+    u: float = Field(description="combined standard uncertainty")
+    dof: Dof
+    k: float = Field(description="coverage factor")
+    U: float = Field(description="expanded uncertainty")
+    by_source: BySource
+
+
+class CovariancePart(ResultModel):
+    """Standard uncertainties of the twelve coefficients, with their covariance."""
+
+    u: Twelve
+    covariance: Matrix
+
+
+class SourcePart(ResultModel):
+    """An error of the bench, and what it contributes to the coefficients."""
+
+    symbol: str
+    u: float = Field(description="standard uncertainty, SI")
+    unit: str
+    shown: str = Field(description="the same in the unit of the bench file")
+    limit: float | None
+    distribution: str
+    common_to: str = Field(description="what shares one value of it")
+    group: str
+    dof: Real
+    prior: bool = Field(
+        description="whether the size is a plausible one that nobody stated, marked by a star"
+    )
+    origin: str = Field(description="where the size comes from")
+    contribution_u: Twelve
+    covariance: Matrix
+    correlation: Matrix
+
+
+class MagnitudePart(ResultModel):
+    """Uncertainty of a measured acceleration of one size, over all directions, g."""
+
+    magnitude_g: float
+    u_vector_mean: float
+    u_vector_max: float
+    u_modulus_mean: float
+    u_modulus_max: float
+    U_modulus_max: float
+    share: dict[str, float] = Field(description="part of the variance of the modulus, by source")
+
+
+class AccelerationPart(ResultModel):
+    """Uncertainty of any measured acceleration."""
+
+    range_g: float
+    same_voltmeters: bool = Field(description="whether it is read with the voltmeters of the calibration")
+    magnitudes: list[MagnitudePart]
+
+
+class CheckedPoint(ResultModel):
+    """Δg at a verification point, g."""
+
+    angle_deg: float
+    point: int
+    u: float
+    dof: Dof
+    U: float
+    by_source: BySource
+    accepted_up_to: float
+    passes: float = Field(description="probability of acceptance")
+    capable: bool = Field(description="whether U is within what is accepted")
+
+
+class VerificationPart(ResultModel):
+    """What the check at the verification points is worth."""
+
+    limit_g: float
+    rule: str
+    guard_band: float = Field(
+        description="guard band of the rule over U; where false_acceptance is set, that of a normal distribution "
+        "(accepted_up_to has the exact one)"
+    )
+    false_acceptance: float | None = Field(
+        description="probability of false acceptance that sets the guard band of the default rule; else null"
+    )
+    capable: bool | None = Field(description="whether every point is capable; null without points")
+    points: list[CheckedPoint]
+
+    @property
+    def decision(self) -> DecisionRule:
+        """The decision rule."""
+        return DecisionRule.of_json(self.to_dict())
+
+
+class OutputPart(ResultModel):
+    """A coefficient or a Δg by Monte Carlo, beside the linear result."""
+
+    mean: float
+    u: float
+    u_linear: float
+    ratio: float
+    interval: Vector = Field(description="probabilistically symmetric coverage interval")
+    shortest: Vector = Field(description="shortest coverage interval")
+    differences: list[float] = Field(description="of the interval ends from the linear ones")
+    tolerance: float
+    validated: bool
+
+
+class MonteCarloPart(ResultModel):
+    """The same by Monte Carlo on the exact geometry (JCGM 101, clause 8)."""
+
+    trials: int
+    probability: float
+    digits: int
+    covariance: Matrix
+    outputs: dict[str, OutputPart]
+    validated: bool = Field(description="whether it confirms the linear budget")
+
+
+class BudgetResult(ResultModel):
+    """What each error of the bench puts into each coefficient and into a measured acceleration."""
+
+    bench: str
+    bench_file: BenchPart
+    procedure: str
+    model: str
+    about: str = Field(description="whose coefficients the budget is about")
+    g_m_s2: float
+    readings: ReadingCounts
+    estimator: str
+    order: Annotated[list[str], Field(min_length=12, max_length=12)]
+    probability: float = Field(description="coverage probability of U")
+    coefficients: dict[str, CoefficientPart] = Field(
+        description="the twelve coefficients by name, as in `order`"
+    )
+    covariance: Matrix
+    correlation: Matrix
+    per_local_g: CovariancePart = Field(description="without the uncertainty of local gravity")
+    groups: dict[str, CovariancePart] = Field(description="errors taken together: stand, scale, block")
+    sources: dict[str, SourcePart] = Field(description="the errors by name")
+    acceleration: AccelerationPart
+    verification: VerificationPart
+    monte_carlo: MonteCarloPart | None
+    notes: list[str]
+
+    @property
+    def capable(self) -> bool | None:
+        """Whether every verification point can be passed with the coverage probability; None without points."""
+        return self.verification.capable
+
+    def report(self, path: str | Path) -> None:
+        """Write the page (HTML, with everything in it). Raises `OSError`."""
+        write_whole(Path(path), render_budget(self))
+
+    def print_on(self, out: Console) -> None:
+        """Print coefficients by source, measured accelerations, the check, Monte Carlo and notes."""
+        out.print(_headline(self))
+        out.print(
+            "standard uncertainties by source: K in µV/g, U0 in µV; * a plausible size, not a stated one"
+        )
+        for shown in (_coefficient_table(self), _source_table(self), _acceleration_table(self)):
+            out.print(shown)
+        if self.verification.points:
+            _print_check(self, out)
+        if self.monte_carlo is not None:
+            out.print(_monte_carlo_in_words(self.monte_carlo))
+        for note in self.notes:
+            if not quiet.get():
+                out.print(f"note: {note}")
+
+    def __repr__(self) -> str:
+        """Return the tables with what a reader should know."""
+        return f"{as_text(self.print_on)}\nbench: {self.bench_file.words}"
+
+    def _repr_html_(self) -> str:
+        shown = _coefficient_table(self), _acceleration_table(self)
+        notes = (f"note: {note}" for note in self.notes)
+        return as_html([_headline(self)], *shown) + as_html([f"bench: {self.bench_file.words}", *notes])
+
+
+def budget_result(
+    found: Assessment, *, bench: BenchPart, procedure: str, about: str, g_m_s2: float
+) -> BudgetResult:
+    """Return the result of an assessment; `about` names the block that it is about."""
+    budget, question = found.budget, found.question
+    total, setup, contributions = budget.combined, budget.setup, budget.contributions
+    factor = coverage_factor(total.dof, budget.probability)
+    return BudgetResult(
+        bench=bench.name,
+        bench_file=bench,
+        procedure=procedure,
+        model=setup.model.name,
+        about=about,
+        g_m_s2=g_m_s2,
+        readings=ReadingCounts(fitted=int(setup.fitted.sum()), verification=int(setup.verification.sum())),
+        estimator=budget.estimator,
+        order=list(COEFFICIENTS),
+        probability=budget.probability,
+        coefficients={
+            name: CoefficientPart(
+                value=total.value[i],
+                u=total.u[i],
+                dof=total.dof[i],
+                k=factor[i],
+                U=factor[i] * total.u[i],
+                by_source={c.source.name: c.u[i] for c in contributions},
+            )
+            for i, name in enumerate(COEFFICIENTS)
+        },
+        covariance=total.covariance,
+        correlation=total.correlation,
+        per_local_g=CovariancePart.from_object(budget.per_local_g),
+        groups={
+            group: CovariancePart.from_object(budget.of_group(group))
+            for group in dict.fromkeys(c.source.group for c in contributions)
+        },
+        sources={c.source.name: _source_part(c) for c in contributions},
+        acceleration=AccelerationPart(
+            range_g=question.range_g,
+            same_voltmeters=question.same_voltmeters,
+            magnitudes=[MagnitudePart.from_object(one) for one in found.accelerations],
+        ),
+        verification=VerificationPart.model_validate(
+            {
+                **question.rule.to_json(),
+                "limit_g": question.limit_g,
+                "capable": found.capable,
+                "points": [CheckedPoint.from_object(point) for point in found.points],
+            }
+        ),
+        monte_carlo=None if found.exact is None else _monte_carlo_part(found.exact),
+        notes=list(found.notes),
+    )
+
+
+def _source_part(contribution: Contribution) -> SourcePart:
+    source = contribution.source
+    return SourcePart(
+        symbol=source.symbol,
+        u=source.u,
+        unit=source.unit,
+        shown=source.shown,
+        limit=source.distribution.limit,
+        distribution=source.distribution.shape,
+        common_to=source.common,
+        group=source.group,
+        dof=source.dof,
+        prior=source.prior,
+        origin=source.origin,
+        contribution_u=contribution.u,
+        covariance=contribution.covariance,
+        correlation=correlation_of(contribution.covariance),
+    )
+
+
+def _monte_carlo_part(exact: ExactResult) -> MonteCarloPart:
+    trials, linear, verdict = exact.trials, exact.linear, exact.verdict
+    return MonteCarloPart(
+        trials=trials.trials,
+        probability=trials.probability,
+        digits=DIGITS,
+        covariance=trials.covariance,
+        outputs={
+            name: OutputPart(
+                mean=trials.mean[i],
+                u=trials.u[i],
+                u_linear=linear.u[i],
+                ratio=verdict.ratio[i],
+                interval=trials.symmetric[i],
+                shortest=trials.shortest[i],
+                differences=[verdict.low[i], verdict.high[i]],
+                tolerance=verdict.tolerance[i],
+                validated=verdict.validated[i],
+            )
+            for i, name in enumerate(exact.names)
+        },
+        validated=np.all(verdict.validated),
+    )
+
+
+# --- text in the terminal -----------------------------------------------------------------------------
+
+
+def _headline(result: BudgetResult) -> str:
+    return (
+        f"Budget of {result.procedure} on {result.bench}: {result.estimator}, model {result.model}, "
+        f"{result.readings.fitted} readings, about {result.about}"
+    )
+
+
+def _coefficient_table(result: BudgetResult) -> Table:
+    """Return source by coefficient, then combined u, effective degrees of freedom, U; "stand" is a part."""
+    shown = _table("source", *result.order)
+    for row in _by_source(result):
+        shown.add_row(row.head, *row.cells)
+    for row in _combined(result):
+        shown.add_row(row.head, *row.cells, style="bold" if "dof" not in row.head else None)
+    return shown
+
+
+def _source_table(result: BudgetResult) -> Table:
+    shown = table("source", "", ">u", "common to", ">dof", "where its size comes from")
+    for name, one in result.sources.items():
+        shown.add_row(name, one.symbol, one.shown, one.common_to, _dof(one.dof, "g"), one.origin)
+    return shown
+
+
+def _acceleration_table(result: BudgetResult) -> Table:
+    how = "the same voltmeters" if result.acceleration.same_voltmeters else "voltmeters alike"
+    shown = _table("measured |a|", *ACCELERATION_COLUMNS)
+    shown.title = f"one reading with {how}, over all directions, µg"
+    shown.title_justify = "left"
+    for row in _by_magnitude(result):
+        shown.add_row(row.head, *row.cells)
+    return shown
+
+
+def _print_check(result: BudgetResult, out: Console) -> None:
+    check = result.verification
+    shown = _table("verification point", *POINT_COLUMNS)
+    for row in _by_point(check):
+        shown.add_row(row.head, *row.cells)
+    out.print(shown)
+    surely = f"CANNOT BE PASSED with {100 * result.probability:.4g} %"
+    verdict = "can be passed" if check.capable else surely
+    out.print(
+        f"check of |Δg| ≤ {check.limit_g * 1e6:g} µg, rule: {check.decision.words}: {verdict} "
+        "(U against what is accepted, at every point)",
+        style="bold",
+    )
+
+
+def _monte_carlo_in_words(found: MonteCarloPart) -> str:
+    ratios = [output.ratio for output in found.outputs.values() if output.u_linear > 0.0]
+    names = ", ".join(name for name, output in found.outputs.items() if not output.validated)
+    verdict = f"not validated for {names}" if names else "validated for every output"
+    return (
+        f"Monte Carlo on the exact geometry, {found.trials} trials: u over linear u {min(ratios):.3f} to "
+        f"{max(ratios):.3f}; JCGM 101, clause 8: {verdict}"
+    )
+
+
+def _table(first: str, *others: str) -> Table:
+    return table(first, *(f">{heading}" for heading in others), no_wrap=True)
+
+
+# --- rows of the tables, in the terminal and on the page ------------------------------------------------
+
+ACCELERATION_COLUMNS: Final = (
+    "u(|a|) mean", "largest", "U(|a|) largest", "u(vector) mean", "largest", "most of it",
+)  # fmt: skip
+POINT_COLUMNS: Final = ("u(Δg)", "U(Δg)", "accepted up to", "passes", "most of it")
+
+
+def _by_source(result: BudgetResult) -> Iterator[Row]:
+    for name, source in result.sources.items():
+        yield Row(f"{name}{'*' if source.prior else ''}", _micro(source.contribution_u))
+
+
+def _combined(result: BudgetResult) -> Iterator[Row]:
+    """Yield the sums over sources: of the stand, per local g, of all; then degrees of freedom and U."""
+    coefficients = [result.coefficients[name] for name in result.order]
+    if "stand" in result.groups:
+        yield Row("stand, as calibrate states", _micro(result.groups["stand"].u))
+    yield Row("combined u, per local g", _micro(result.per_local_g.u))
+    yield Row("combined u", _micro(one.u for one in coefficients))
+    if any(one.dof is not None for one in coefficients):
+        yield Row("effective dof", tuple(_dof(one.dof, ".0f") for one in coefficients))
+    factors = [one.k for one in coefficients]
+    k = f"k = {factors[0]:.2f}" if max(factors) - min(factors) < 0.005 else "k by dof"
+    yield Row(f"U ({k}, {100 * result.probability:.4g} %)", _micro(one.U for one in coefficients))
+
+
+def _by_magnitude(result: BudgetResult) -> Iterator[Row]:
+    for at in result.acceleration.magnitudes:
+        name = max(at.share, key=at.share.__getitem__)
+        sizes = (at.u_modulus_mean, at.u_modulus_max, at.U_modulus_max, at.u_vector_mean, at.u_vector_max)
+        cells = (f"{1e6 * size:.1f}" for size in sizes)
+        yield Row(f"{at.magnitude_g:g} g", (*cells, f"{name} {100 * at.share[name]:.0f} %"))
+
+
+def _by_point(check: VerificationPart) -> Iterator[Row]:
+    for point in check.points:
+        yield Row(
+            f"{point.point} at {point.angle_deg:g}°",
+            (
+                f"{1e6 * point.u:.1f} µg",
+                f"{1e6 * point.U:.1f} µg",
+                f"{1e6 * point.accepted_up_to:.1f} µg" if point.accepted_up_to > 0 else "nothing",
+                f"{100 * point.passes:.4g} %",
+                max(point.by_source, key=point.by_source.__getitem__),
+            ),
+            bad=not point.capable,
+        )
+
+
+def _by_output(found: MonteCarloPart) -> Iterator[Row]:
+    for name, one in found.outputs.items():
+        sizes = [
+            *_micro([one.u_linear, one.u]),
+            f"{one.ratio:.3f}",
+            *_micro([*one.differences, one.tolerance]),
+        ]
+        yield Row(name, (*sizes, "yes" if one.validated else "no"), bad=not one.validated)
+
+
+def _dof(dof: float | None, form: str) -> str:
+    return "∞" if dof is None else format(dof, form)
+
+
+def _micro(values: Iterable[float]) -> tuple[str, ...]:
+    return tuple(fixed(1e6 * value, 1) if abs(value) >= 5e-8 else "0" for value in values)
+
+
+# --- page ---------------------------------------------------------------------------------------------
+
+
+def render_budget(result: BudgetResult) -> str:
+    """Return the page; the same result gives the same text."""
+    check = result.verification
+    return page(
+        "budget.html.j2",
+        result=result,
+        headings=["source", *(tables.symbol(name) for name in result.order)],
+        coefficients=[_spaced(row) for row in (*_by_source(result), *_combined(result))],
+        sources=[
+            Row(
+                f"{name.replace('_', ' ')} ({one.symbol})",
+                (one.shown, one.distribution, one.common_to, _dof(one.dof, "g"), one.origin),
+            )
+            for name, one in result.sources.items()
+        ],
+        acceleration_columns=["|a|", *ACCELERATION_COLUMNS],
+        accelerations=list(_by_magnitude(result)),
+        point_columns=["verification point", *POINT_COLUMNS],
+        points=list(_by_point(check)),
+        verdict={True: "passed", False: "failed", None: "none"}[check.capable],
+        limit=f"{1e6 * check.limit_g:g}",
+        rule_in_words=rule_in_words(check.decision),
+        monte_carlo=[] if result.monte_carlo is None else list(_by_output(result.monte_carlo)),
+        contributions=Markup(contributions(result).svg()),  # noqa: S704 - our own drawing
+        modulus=Markup(modulus(result).svg()),  # noqa: S704
+    )
 
 
 COLOURS: Final = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, "#56B4E9", "#F0E442", GREY)
@@ -62,16 +522,20 @@ class BudgetFigure:
         return svg, png
 
 
-def figures(result: Mapping[str, Any]) -> tuple[BudgetFigure, ...]:
+def figures(result: BudgetResult) -> tuple[BudgetFigure, ...]:
     """Return the figures of a budget's result."""
     return contributions(result), modulus(result)
 
 
-def contributions(result: Mapping[str, Any]) -> BudgetFigure:
+def _spaced(row: Row) -> Row:
+    return replace(row, head=row.head.replace("_", " "))
+
+
+def contributions(result: BudgetResult) -> BudgetFigure:
     """Bars as high as the combined u of each coefficient, parted as the sources part its variance."""
-    names: list[str] = result["order"]
-    u = np.array([result["coefficients"][name]["u"] for name in names])
-    parts = {source: np.array(of["contribution_u"]) ** 2 for source, of in result["sources"].items()}
+    names = result.order
+    u = np.array([result.coefficients[name].u for name in names])
+    parts = {name: np.array(source.contribution_u) ** 2 for name, source in result.sources.items()}
     shares = _gathered({source: part / np.where(u > 0, u, 1.0) ** 2 for source, part in parts.items()})
 
     def draw(figure: Figure) -> None:
@@ -93,16 +557,16 @@ def contributions(result: Mapping[str, Any]) -> BudgetFigure:
     return BudgetFigure("budget-coefficients", (7.4, 3.8), draw, alt)
 
 
-def modulus(result: Mapping[str, Any]) -> BudgetFigure:
+def modulus(result: BudgetResult) -> BudgetFigure:
     """u of |a| against |a|: mean and largest over directions, and the sources that matter (mean)."""
-    rows: list[Mapping[str, Any]] = result["acceleration"]["magnitudes"]
-    at = np.array([row["magnitude_g"] for row in rows])
-    mean = np.array([row["u_modulus_mean"] for row in rows])
-    largest = np.array([row["u_modulus_max"] for row in rows])
+    rows = result.acceleration.magnitudes
+    at = np.array([row.magnitude_g for row in rows])
+    mean = np.array([row.u_modulus_mean for row in rows])
+    largest = np.array([row.u_modulus_max for row in rows])
     shares = {
-        source: np.array([row["share"][source] for row in rows])
-        for source in rows[0]["share"]
-        if max(row["share"][source] for row in rows) > 10 * VISIBLE
+        source: np.array([row.share[source] for row in rows])
+        for source in rows[0].share
+        if max(row.share[source] for row in rows) > 10 * VISIBLE
     }
 
     def draw(figure: Figure) -> None:
@@ -131,214 +595,3 @@ def _gathered(shares: Mapping[str, Floats]) -> dict[str, Floats]:
     seen = {source: share for source, share in shares.items() if np.max(share) >= VISIBLE}
     rest = sum((share for source, share in shares.items() if source not in seen), np.zeros(12))
     return {**seen, "others": rest} if np.any(rest > 0.0) else seen
-
-
-def render_budget(result: Mapping[str, Any]) -> str:
-    """Return the page; the same result gives the same text."""
-    check = result["verification"]
-    return page(
-        "budget.html.j2",
-        result=result,
-        headings=["source", *(tables.symbol(name) for name in result["order"])],
-        coefficients=_coefficients(result),
-        sources=_sources(result),
-        accelerations=_accelerations(result),
-        points=_points(result),
-        verdict={True: "passed", False: "failed", None: "none"}[check["capable"]],
-        limit=f"{1e6 * check['limit_g']:g}",
-        rule_in_words=rule_in_words(DecisionRule.of_json(check)),
-        monte_carlo=_monte_carlo(result),
-        contributions=Markup(contributions(result).svg()),  # noqa: S704 - our own drawing
-        modulus=Markup(modulus(result).svg()),  # noqa: S704
-    )
-
-
-def _coefficients(result: Mapping[str, Any]) -> list[Row]:
-    rows = [
-        Row(f"{name.replace('_', ' ')}{' *' if source['prior'] else ''}", _micro(source["contribution_u"]))
-        for name, source in result["sources"].items()
-    ]
-    coefficients = [result["coefficients"][name] for name in result["order"]]
-    rows.append(Row("stand, as calibrate states", _micro(result["groups"]["stand"]["u"])))
-    rows.append(Row("combined u, per local g", _micro(result["per_local_g"]["u"])))
-    rows.append(Row("combined u", _micro([one["u"] for one in coefficients])))
-    rows.append(
-        Row(
-            "effective dof", tuple("∞" if one["dof"] is None else f"{one['dof']:.0f}" for one in coefficients)
-        )
-    )
-    rows.append(Row("k", tuple(f"{one['k']:.2f}" for one in coefficients)))
-    rows.append(Row("U", _micro([one["U"] for one in coefficients])))
-    return rows
-
-
-def _sources(result: Mapping[str, Any]) -> list[Row]:
-    return [
-        Row(
-            f"{name.replace('_', ' ')} ({source['symbol']})",
-            (
-                source["shown"], source["distribution"], source["common_to"],
-                "∞" if source["dof"] is None else f"{source['dof']:g}", source["origin"],
-            ),
-        )
-        for name, source in result["sources"].items()
-    ]  # fmt: skip
-
-
-def _accelerations(result: Mapping[str, Any]) -> list[Row]:
-    rows = []
-    for at in result["acceleration"]["magnitudes"]:
-        name, share = max(at["share"].items(), key=lambda item: item[1])
-        sizes = [at[key] for key in ("u_modulus_mean", "u_modulus_max", "U_modulus_max", "u_vector_mean")]
-        rows.append(Row(f"{at['magnitude_g']:g} g", (*_micro(sizes), f"{name} ({100 * share:.0f} %)")))
-    return rows
-
-
-def _points(result: Mapping[str, Any]) -> list[Row]:
-    return [
-        Row(
-            f"point {point['point']} at {point['angle_deg']:g}°",
-            (
-                *_micro([point["u"], point["U"]]),
-                fixed(1e6 * point["accepted_up_to"], 1) if point["accepted_up_to"] > 0 else "nothing",
-                f"{100 * point['passes']:.4g} %",
-            ),
-            bad=not point["capable"],
-        )
-        for point in result["verification"]["points"]
-    ]
-
-
-def _monte_carlo(result: Mapping[str, Any]) -> list[Row]:
-    if result["monte_carlo"] is None:
-        return []
-    return [
-        Row(
-            name,
-            (
-                *_micro([output["u_linear"], output["u"]]),
-                f"{output['ratio']:.3f}",
-                *_micro([*output["differences"], output["tolerance"]]),
-                "yes" if output["validated"] else "no",
-            ),
-            bad=not output["validated"],
-        )
-        for name, output in result["monte_carlo"]["outputs"].items()
-    ]
-
-
-def _micro(values: Sequence[float]) -> tuple[str, ...]:
-    return tuple(fixed(1e6 * value, 1) if abs(value) >= 5e-8 else "0" for value in values)
-
-
-def print_budget(head: Mapping[str, Any], found: Assessment, out: Console) -> None:
-    """Print the budget: coefficients by source, measured accelerations, the check, Monte Carlo, notes."""
-    out.print(headline(head, found))
-    out.print("standard uncertainties by source: K in µV/g, U0 in µV; * a plausible size, not a stated one")
-    out.print(coefficient_table(found.budget))
-    out.print(_sources_in_words(found.budget))
-    out.print(acceleration_table(found))
-    if found.points:
-        _print_points(out, found)
-    if found.exact is not None:
-        _print_exact(out, found.exact)
-    for note in found.notes:
-        if not quiet.get():
-            out.print(f"note: {note}")
-
-
-def headline(head: Mapping[str, Any], found: Assessment) -> str:
-    """Return a sentence on what the budget is of."""
-    return (
-        f"Budget of {head['procedure']} on {head['bench']}: {found.budget.estimator}, model {head['model']}, "
-        f"{head['readings']['fitted']} readings, about {head['about']}"
-    )
-
-
-def coefficient_table(budget: Budget) -> Table:
-    """Return source by coefficient, then combined u, effective degrees of freedom, U; "stand" is a part."""
-    rows = _table("source", *COEFFICIENTS)
-    for contribution in budget.contributions:
-        source = contribution.source
-        rows.add_row(f"{source.name}{'*' if source.prior else ''}", *_micro_or_zero(contribution.u))
-    total, stand = budget.combined, budget.of_group("stand")
-    rows.add_row("stand, as calibrate states", *_micro_or_zero(stand.u), style="bold")
-    rows.add_row("combined u, per local g", *_micro_or_zero(budget.per_local_g.u), style="bold")
-    rows.add_row("combined u", *_micro_or_zero(total.u), style="bold")
-    if np.any(np.isfinite(total.dof)):
-        rows.add_row("effective dof", *(f"{nu:.0f}" if np.isfinite(nu) else "∞" for nu in total.dof))
-    factor = coverage_factor(total.dof, budget.probability)
-    same = np.ptp(factor) < 0.005
-    factors = f"k = {factor[0]:.2f}" if same else "k by dof"
-    rows.add_row(
-        f"U ({factors}, {100 * budget.probability:.4g} %)", *_micro_or_zero(factor * total.u), style="bold"
-    )
-    return rows
-
-
-def _sources_in_words(budget: Budget) -> Table:
-    rows = table("source", "", ">u", "common to", ">dof", "where its size comes from")
-    for contribution in budget.contributions:
-        source = contribution.source
-        dof = f"{source.dof:g}" if np.isfinite(source.dof) else "∞"
-        rows.add_row(source.name, source.symbol, source.shown, source.common, dof, source.origin)
-    return rows
-
-
-def acceleration_table(found: Assessment) -> Table:
-    """Return u of a measured acceleration by its size, g."""
-    how = "the same voltmeters" if found.question.same_voltmeters else "voltmeters alike"
-    rows = _table(
-        "measured |a|", "u(|a|) mean", "largest", "U(|a|) largest", "u(vector) mean", "largest", "most of it"
-    )
-    rows.title = f"one reading with {how}, over all directions, µg"
-    rows.title_justify = "left"
-    for a in found.accelerations:
-        name, share = max(a.share.items(), key=lambda item: item[1])
-        sizes = (a.u_modulus_mean, a.u_modulus_max, a.U_modulus_max, a.u_vector_mean, a.u_vector_max)
-        rows.add_row(
-            f"{a.magnitude_g:g} g", *(f"{1e6 * s:.1f}" for s in sizes), f"{name} {100 * share:.0f} %"
-        )
-    return rows
-
-
-def _print_points(out: Console, found: Assessment) -> None:
-    question = found.question
-    rows = _table("verification point", "u(Δg)", "U(Δg)", "accepted up to", "passes", "most of it")
-    for point in found.points:
-        name = max(point.by_source, key=lambda source: point.by_source[source])
-        rows.add_row(
-            f"{point.point} at {point.angle_deg:g}°",
-            f"{point.u * 1e6:.1f} µg",
-            f"{point.U * 1e6:.1f} µg",
-            f"{point.accepted_up_to * 1e6:.1f} µg" if point.accepted_up_to > 0 else "nothing",
-            f"{100 * point.passes:.4g} %",
-            name,
-        )
-    out.print(rows)
-    surely = f"CANNOT BE PASSED with {100 * found.budget.probability:.4g} %"
-    verdict = "can be passed" if found.capable else surely
-    out.print(
-        f"check of |Δg| ≤ {question.limit_g * 1e6:g} µg, rule: {question.rule.words}: {verdict} "
-        "(U against what is accepted, at every point)",
-        style="bold",
-    )
-
-
-def _print_exact(out: Console, exact: ExactResult) -> None:
-    ratio = exact.verdict.ratio[exact.linear.u > 0.0]
-    agreed = np.flatnonzero(~exact.verdict.validated)
-    names = ", ".join(exact.names[i] for i in agreed)
-    verdict = f"not validated for {names}" if names else "validated for every output"
-    out.print(
-        f"Monte Carlo on the exact geometry, {exact.trials.trials} trials: u over linear u "
-        f"{ratio.min():.3f} to {ratio.max():.3f}; JCGM 101, clause 8: {verdict}"
-    )
-
-
-def _table(first: str, *others: str) -> Table:
-    return table(first, *(f">{heading}" for heading in others), no_wrap=True)
-
-
-def _micro_or_zero(values: Floats) -> list[str]:
-    return [f"{1e6 * value:.1f}" if value >= 5e-8 else "0" for value in values]

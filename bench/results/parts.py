@@ -15,6 +15,11 @@ class BenchPart(ResultModel):
     why: str = Field(description="why that one")
     sha256: str
 
+    @property
+    def words(self) -> str:
+        """Which one it is, and why that one."""
+        return f"{self.name}, {self.why}"
+
 
 class CorrectionPart(ResultModel):
     """The certificate of an instrument, and what was done by it."""

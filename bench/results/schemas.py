@@ -8,7 +8,11 @@ from typing import Final
 from bench.base.result_model import ResultModel
 
 RESULTS: Final = {
+    "budget": "budget.BudgetResult",
+    "check": "check.CheckResult",
     "confirm": "confirm.ConfirmResult",
+    "plan-points": "planning.PlanPointsResult",
+    "require": "planning.RequireResult",
 }
 """The model of each result, as module of this room and class, by the name of its schema."""
 

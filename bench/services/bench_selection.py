@@ -269,8 +269,10 @@ def why_taken(given: str | None) -> str:
     return "named by BENCH_FILE" if os.environ.get("BENCH_FILE") else _NONE_NAMED
 
 
-def find_bench_file(given: str | BenchFile | BenchTaken | None) -> BenchTaken:
+def find_bench_file(given: str | Path | BenchFile | BenchTaken | None) -> BenchTaken:
     """Return the bench file at hand or asked for, else that of BENCH_FILE, else the shipped one."""
+    if isinstance(given, Path):
+        given = str(given)
     if isinstance(given, BenchTaken):
         return given
     if isinstance(given, BenchFile):

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rich.console import Console
 
 from bench.base.computing import tracked
-from bench.base.files import write_whole
-from bench.base.tables import as_html, as_text
 from bench.base.units import ACCELERATION, SCALE_FACTOR, VOLTAGE, QuantityKind
-from bench.calibration.budget.assessment import Assessment, Question, assess
+from bench.calibration.budget.assessment import Question, assess
 from bench.calibration.budget.error_source import ErrorSource
 from bench.calibration.budget.propagation import COVERAGE, require_trials
 from bench.calibration.budget.setup import Setup, make_setup
 from bench.calibration.budget.sources import bench_sources
-from bench.calibration.estimators import ESTIMATORS, GLS, in_a_budget
+from bench.calibration.estimators import ESTIMATORS, in_a_budget
 from bench.calibration.mistakes import refuse_singular
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile
@@ -38,74 +36,46 @@ from bench.planning.requirements import (
     of_delta_g,
 )
 from bench.readings.corrected import VOLTS
-from bench.services.arguments import checked
+from bench.results.budget import BudgetResult, budget_result
+from bench.results.planning import AlternativePart, LimitPart, RequireResult, print_requirement
+from bench.services.arguments import python_call
 from bench.services.bench_selection import BenchTaken, find_bench_file
 from bench.services.coefficients import read_coefficients
 from bench.services.errors import Refused
 from bench.services.learned import take_learned, with_effects
 from bench.services.quantities import named, quantity
+from bench.services.requests.planning import Budget, Require
 from bench.services.source import NO_GRAVITY, check_gravity
 from bench.services.verification import Asked, judgement_of
 from drivers.clock import utc_now
 
 
-@dataclass(frozen=True)
-class BudgetResult:
-    """A budget: `head` says of what, `assessment` holds the sizes, `bench` which bench file they are from."""
-
-    bench: str
-    head: Mapping[str, Any]
-    assessment: Assessment
-
-    @property
-    def capable(self) -> bool | None:
-        """Whether every verification point can be passed with the coverage probability; None without points."""
-        return self.assessment.capable
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as `bench budget --json` writes it."""
-        return {**self.head, **self.assessment.to_json()}
-
-    def report(self, path: str | Path) -> None:
-        """Write the page (HTML, with everything in it). Raises `OSError`."""
-        from bench.results.budget import render_budget
-
-        write_whole(Path(path), render_budget(self.to_dict()))
-
-    def print_on(self, out: Console) -> None:
-        """Print coefficients by source, measured accelerations, the check, Monte Carlo and notes."""
-        from bench.results.budget import print_budget
-
-        print_budget(self.head, self.assessment, out)
-
-    def __repr__(self) -> str:
-        """Return the tables with what a reader should know."""
-        return f"{as_text(self.print_on)}\nbench: {self.bench}"
-
-    def _repr_html_(self) -> str:
-        from bench.results.budget import acceleration_table, coefficient_table, headline
-
-        found = self.assessment
-        tables = coefficient_table(found.budget), acceleration_table(found)
-        notes = (f"note: {note}" for note in found.notes)
-        return as_html([headline(self.head, found)], *tables) + as_html([f"bench: {self.bench}", *notes])
+def budget_of(request: Budget) -> BudgetResult:
+    """Return the budget of a bench. Raises `Refused`, `CalibrationError`, `FileMistakes`."""
+    check_gravity(request.g)
+    estimator = in_a_budget(request.estimator).name
+    if request.trials:
+        _check_trials(request.trials)
+    taken = find_bench_file(request.bench)
+    file = _with_gravity(taken, request.g)
+    judgement = judgement_of(file, Asked(request.limit, request.rule, request.guard_band))
+    plan = load_procedure(find_procedure(request.procedure)).expand()
+    block, about = _block(request.coefficients, file)
+    today = utc_now().date()
+    learned = take_learned(taken.learned(), today, VOLTS)
+    setup = make_setup(plan, file, with_effects(_model(request.model, file), learned.effects), block)
+    question = Question(
+        file.unit_under_test.range, judgement.limit_g, judgement.rule, request.trials, request.same_voltmeters,
+        judgement.population,
+    )  # fmt: skip
+    sources = bench_sources(file, setup, today, learned.known)
+    found = replace(assess(setup, sources, estimator, question, learned.known), beside=learned.notes)
+    return budget_result(
+        found, bench=taken.part(), procedure=plan.name, about=about, g_m_s2=float(file.gravity_m_s2 or 0.0)
+    )
 
 
-@checked()
-def budget(
-    bench: str | Path | BenchFile | BenchTaken | None = None,
-    procedure: str = "calibration",
-    estimator: str = GLS,
-    *,
-    model: str | Path | None = None,
-    coefficients: str | Path | None = None,
-    trials: int = 20_000,
-    rule: str | None = None,
-    limit: float | None = None,
-    guard_band: float | None = None,
-    same_voltmeters: bool = False,
-    g: float | None = None,
-) -> BudgetResult:
+def _budget(request: Budget) -> BudgetResult:
     """Return what each error of a bench contributes to the coefficients and to any measured acceleration.
 
     `procedure` says which readings a calibration is of, `coefficients` (a result of `bench calibrate --json`)
@@ -114,36 +84,10 @@ def budget(
     file's unless given; `same_voltmeters` that the block is used with those of the calibration, `g` local gravity
     in m/s². Raises `Refused`, `CalibrationError`, `FileMistakes`.
     """
-    check_gravity(g)
-    estimator = in_a_budget(estimator).name
-    if trials:
-        _check_trials(trials)
-    taken = find_bench_file(str(bench) if isinstance(bench, Path) else bench)
-    file = _with_gravity(taken, g)
-    judgement = judgement_of(file, Asked(limit, rule, guard_band))
-    plan = load_procedure(find_procedure(procedure)).expand()
-    block, about = _block(coefficients, file)
-    today = utc_now().date()
-    learned = take_learned(taken.learned(), today, VOLTS)
-    setup = make_setup(plan, file, with_effects(_model(model, file), learned.effects), block)
-    question = Question(
-        file.unit_under_test.range, judgement.limit_g, judgement.rule, trials, same_voltmeters,
-        judgement.population,
-    )  # fmt: skip
-    found = assess(
-        setup, bench_sources(file, setup, today, learned.known), estimator, question, learned.known
-    )
-    found = replace(found, beside=learned.notes)
-    head = {
-        "bench": file.name,
-        "bench_file": taken.to_dict(),
-        "procedure": plan.name,
-        "model": setup.model.name,
-        "about": about,
-        "g_m_s2": file.gravity_m_s2,
-        "readings": {"fitted": int(setup.fitted.sum()), "verification": int(setup.verification.sum())},
-    }
-    return BudgetResult(taken.words, head, found)
+    return budget_of(request)
+
+
+budget = python_call(Budget, _budget)
 
 
 def _check_trials(trials: int) -> None:
@@ -201,138 +145,87 @@ ACCELERATIONS: Final = frozenset({ACCELERATION_OF, MODULUS_OF})
 
 
 @dataclass(frozen=True)
-class Alternative:
-    """Another estimator or procedure: what it gives on the bench as it is, and the limit of one source."""
+class Requirements:
+    """The result of `bench require`, with what its text needs beside.
 
-    estimator: str
-    procedure: str
-    settings: int
-    time_s: float
-    reached: float
-    limit: Limit
-
-
-@dataclass(frozen=True)
-class RequirementAnswer:
-    """What is found of `of` (with `up_to` as written; in g only where an acceleration is asked about).
-
-    `beside` is k u that was not counted, of what is `left_out`; `share` says how the limits together are made.
+    `up_to_g` is the largest acceleration, where one is asked about; `left_out` says what is not counted.
     """
 
-    of: str
-    up_to: str | None
-    share: str
-    left_out: tuple[str, ...]
-    requirement: Requirement
-    unit: str
+    result: RequireResult
     up_to_g: float | None
-    alone: tuple[Limit, ...]
-    balanced: tuple[Limit, ...]
-    unbalanced: str
-    alternatives: tuple[Alternative, ...]
-    beside: float
-    taken: BenchTaken
-    plan: Plan
+    left_out: tuple[str, ...]
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the result as JSON values."""
-        asked = self.requirement
-        shares = asked.shares()
-        return {
-            "of": self.of,
-            "up_to": self.up_to,
-            "accuracy": asked.accuracy,
-            "unit": self.unit,
-            "k": asked.k,
-            "bench": self.taken.file.name,
-            "bench_file": self.taken.to_dict(),
-            "procedure": self.plan.name,
-            "estimator": asked.estimator,
-            "reached": asked.reached(),
-            "kept": asked.keeps(asked.reached()),
-            "not_counted": self.beside,
-            "alone": [{**limit.to_json(), "part": shares[limit.source.name]} for limit in self.alone],
-            "share": self.share,
-            "together": [limit.to_json() for limit in self.balanced],
-            "why_not_together": self.unbalanced or None,
-            "alternatives": [
-                {
-                    "estimator": other.estimator,
-                    "procedure": other.procedure,
-                    "settings": other.settings,
-                    "time_s": other.time_s,
-                    "reached": other.reached,
-                    "kept": asked.keeps(other.reached),
-                    "limit_alone": other.limit.to_json(),
-                }
-                for other in self.alternatives
-            ],
-        }
+    def print_on(self, out: Console) -> None:
+        """Print the limits, the alternatives, whether the bench as it is keeps to the accuracy."""
+        print_requirement(self.result, out, up_to_g=self.up_to_g, left_out=self.left_out)
 
 
-def requirements(
-    accuracy: str,
-    of: str,
-    *,
-    up_to: str | None,
-    k: float,
-    reading: bool,
-    every_source: bool,
-    share: str,
-    costs: Sequence[str],
-    estimator: str,
-    procedure: str,
-    bench: str | BenchTaken | None,
-) -> RequirementAnswer:
-    """Return how large each error of a bench may be for k u of `of` to keep to an accuracy.
+def requirements(request: Require) -> Requirements:
+    """Return how large each error of a bench may be for k u of a quantity to keep to an accuracy.
 
-    `reading` counts the errors of the reading in use, `every_source` those that no reading shows. Raises
-    `Refused` for what cannot be asked, `FileMistakes`, `CalibrationError`.
+    Raises `Refused` for what cannot be asked, `FileMistakes`, `CalibrationError`.
     """
-    estimator = in_a_budget(estimator).name
-    taken = find_bench_file(bench)
-    file = taken.file
-    plan = load_procedure(find_procedure(procedure)).expand()
+    estimator = in_a_budget(request.estimator).name
+    taken = find_bench_file(request.bench)
+    file, of = taken.file, request.of
+    plan = load_procedure(find_procedure(request.procedure)).expand()
     setup = make_setup(plan, file)
-    target, unit, kind = _target(of, up_to, file, reading=reading)
-    limit = quantity("--accuracy", accuracy, kind)
+    target, unit, kind = _target(request, file, reading=request.with_reading)
+    accuracy = quantity("--accuracy", request.accuracy, kind)
     every = bench_sources(file, setup, utc_now().date())
     if of in COEFFICIENTS:
         every = tuple(s for s in every if s.name != "gravity")  # coefficients are stated per local g
-    sources = every if every_source else tuple(s for s in every if s.group == "stand")
-    asked = Requirement(setup, sources, estimator, target, limit, k)
+    sources = every if request.all_errors else tuple(s for s in every if s.group == "stand")
+    asked = Requirement(setup, sources, estimator, target, accuracy, request.k)
     names = [s.name for s in sources if s.u > 0]
-    balanced, unbalanced = _balanced(asked, names, _costs(share, costs, names))
+    costs = _costs(request.share, request.cost or (), names)
+    together: Sequence[Limit] = ()
+    why_not_together = None
+    try:
+        together = asked.balanced(names, costs)
+    except CalibrationError as error:
+        why_not_together = str(error)
     left_out = []
-    if not every_source:
+    if not request.all_errors:
         gravity = "" if of in COEFFICIENTS else "gravity, "
         left_out.append(
             f"what no reading shows (gain, {gravity}temperature, nonlinearity of the block: --all-errors)"
         )
-    if not (reading or of in COEFFICIENTS):
+    if not (request.with_reading or of in COEFFICIENTS):
         left_out.append("the reading in use (--with-reading)")
-    return RequirementAnswer(
-        of,
-        up_to,
-        share,
-        tuple(left_out),
-        asked,
-        unit,
-        _up_to_g(up_to, file) if of in ACCELERATIONS else None,
-        tuple(asked.alone(source) for source in tracked(sources, "limits of the errors")),
-        balanced,
-        unbalanced,
-        tuple(_alternatives(asked, file, plan)),
-        _beside(asked, every, _target(of, up_to, file, reading=True)[0]),
-        taken,
-        plan,
+    # what was not counted adds by itself: other sources, and the reading in use
+    whole = replace(asked, sources=tuple(every), target=_target(request, file, reading=True)[0])
+    reached, shares = asked.reached(), asked.shares()
+    result = RequireResult(
+        of=of,
+        up_to=request.up_to,
+        accuracy=accuracy,
+        unit=unit,
+        k=request.k,
+        bench=file.name,
+        bench_file=taken.part(),
+        procedure=plan.name,
+        estimator=estimator,
+        reached=reached,
+        kept=asked.keeps(reached),
+        not_counted=math.sqrt(max(whole.reached() ** 2 - reached**2, 0.0)),
+        alone=[
+            LimitPart.of_limit(asked.alone(source), part=shares[source.name])
+            for source in tracked(sources, "limits of the errors")
+        ],
+        share=request.share,
+        together=[LimitPart.of_limit(limit) for limit in together],
+        why_not_together=why_not_together,
+        alternatives=list(_alternatives(asked, file, plan)),
+    )
+    return Requirements(
+        result, _up_to_g(request.up_to, file) if of in ACCELERATIONS else None, tuple(left_out)
     )
 
 
-def _target(
-    of: str, up_to: str | None, bench: BenchFile, *, reading: bool
-) -> tuple[Target, str, QuantityKind]:
+def _target(request: Require, bench: BenchFile, *, reading: bool) -> tuple[Target, str, QuantityKind]:
     """Return what is required, its unit, and how an accuracy of it is written."""
+    of, up_to = request.of, request.up_to
     if up_to is not None and of not in ACCELERATIONS:
         raise Refused("--up-to belongs to --of acceleration and --of modulus")
     if of == DELTA_G:
@@ -379,22 +272,7 @@ def _costs(share: str, given: Sequence[str], names: Sequence[str]) -> dict[str, 
     return costs
 
 
-def _balanced(
-    asked: Requirement, names: Sequence[str], costs: dict[str, float] | None
-) -> tuple[tuple[Limit, ...], str]:
-    try:
-        return tuple(asked.balanced(names, costs)), ""
-    except CalibrationError as error:
-        return (), str(error)
-
-
-def _beside(asked: Requirement, every: Sequence[ErrorSource], counting_all: Target) -> float:
-    """What was not counted adds by itself, as k u: other sources, and the reading in use."""
-    whole = replace(asked, sources=tuple(every), target=counting_all)
-    return math.sqrt(max(whole.reached() ** 2 - asked.reached() ** 2, 0.0))
-
-
-def _alternatives(asked: Requirement, bench: BenchFile, plan: Plan) -> Iterator[Alternative]:
+def _alternatives(asked: Requirement, bench: BenchFile, plan: Plan) -> Iterator[AlternativePart]:
     """Every estimator on the procedure, then the estimator on the other procedures that the bench can do."""
     shares = asked.shares()
     dominant = next(s for s in asked.sources if s.name == max(shares, key=shares.__getitem__))
@@ -414,12 +292,18 @@ def _alternatives(asked: Requirement, bench: BenchFile, plan: Plan) -> Iterator[
 
 def _alternative(
     asked: Requirement, dominant: ErrorSource, plan: Plan, bench: BenchFile
-) -> Iterator[Alternative]:
+) -> Iterator[AlternativePart]:
     """What it gives; nothing where the estimator does not know such readings."""
     try:
         reached, limit = asked.reached(), asked.alone(dominant)
     except CalibrationError:
         return
-    settings = int(asked.setup.fitted.sum())
-    time_s = plan.expected_duration_s(bench.line_frequency)
-    yield Alternative(asked.estimator, plan.name, settings, time_s, reached, limit)
+    yield AlternativePart(
+        estimator=asked.estimator,
+        procedure=plan.name,
+        settings=int(asked.setup.fitted.sum()),
+        time_s=plan.expected_duration_s(bench.line_frequency),
+        reached=reached,
+        kept=asked.keeps(reached),
+        limit_alone=LimitPart.of_limit(limit),
+    )

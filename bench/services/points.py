@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+from rich.console import Console
 
 from bench.base.arrays import Floats
 from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE
@@ -29,23 +30,99 @@ from bench.planning.optimal_design import (
     vector_goal,
     whole_goal,
 )
-from bench.planning.points import VERIFICATION_DEG, Points, Times, procedure_text
-from bench.planning.settings import Setting, fitted, settings_of
+from bench.planning.points import (
+    VERIFICATION_DEG,
+    Points,
+    Sites,
+    Times,
+    best_within,
+    cheapest,
+    procedure_text,
+)
+from bench.planning.settings import Cost, Setting, fitted, settings_of
 from bench.planning.stand import Stand
 from bench.readings.table import UNORIENTED, VERIFICATION
+from bench.results.planning import PlanPointsResult, plan_points_result, print_points
 from bench.run.sentences import duration
+from bench.services.bench_selection import find_bench_file
 from bench.services.errors import Refused
 from bench.services.quantities import named, quantity
+from bench.services.requests.planning import PlanPoints
+from drivers.clock import utc_now
 
-_COMPARED: Final = "paper"
+MOST_ANGLES: Final = 72
 
 
 @dataclass(frozen=True)
-class PaperPoints:
-    """What the paper's procedure would give: how many settings it has, u of each goal by name, the largest."""
+class Planned:
+    """The result of `bench plan-points`, with what its text needs beside.
 
-    settings: int
-    u: dict[str, float]
+    `paper_settings` are those of the paper's procedure, `learned` is whether something was learned of the bench,
+    `time` the one that was allowed.
+    """
+
+    result: PlanPointsResult
+    paper_settings: int
+    learned: bool
+    time: str | None
+
+    def print_on(self, out: Console) -> None:
+        """Print the points of each mounting, the goals and the time."""
+        print_points(
+            self.result, out, paper_settings=self.paper_settings, learned=self.learned, time=self.time
+        )
+
+
+def planned(request: PlanPoints) -> Planned:
+    """Return the test points that reach goals in the least bench time, or the most in a given time.
+
+    Raises `Refused` for what cannot be asked, `CalibrationError` for goals that nothing reaches, `FileMistakes`.
+    """
+    _refuse_contradictions(request)
+    taken = find_bench_file(request.bench)
+    file = taken.file
+    stand = stand_of(file, ForwardModel(file.installation_models()), day=utc_now().date())
+    verified = request.verify and VERIFICATION in stand.model.installations
+    goals = _goals(request, stand, file)
+    times = _times(request)
+    cost = times.cost(file.line_frequency, verified=verified)
+    sites = Sites(
+        stand, mountings(file, request.installations, request.visits), even_angles(file, request.angles)
+    )
+    if request.time is None:
+        weighed = cost if request.least == "time" else Cost(1.0, 1e-6)
+        found = cheapest(stand, sites, goals, weighed, request.most_settings, request.most_mountings)
+        found = replace(found, cost=cost)
+    else:
+        limit_s = duration_s("--time", request.time)
+        found = best_within(stand, sites, goals, cost, limit_s, request.most_mountings)
+    paper_settings, u_paper = _of_paper(stand, goals)
+    written = None
+    if request.out is not None:
+        _write_procedure(request.out, found, times, file, verified=verified, asked=request.has_goals)
+        written = str(request.out)
+    result = plan_points_result(found, u_paper, taken.part(), written, asked=request.has_goals)
+    return Planned(result, paper_settings, taken.learned_path is not None, request.time)
+
+
+def _refuse_contradictions(request: PlanPoints) -> None:
+    """Raise `Refused` for options that do not go together, before anything is computed."""
+    if not request.has_goals and request.time is None:
+        raise Refused(
+            "say what is to be reached (--u Kyx=20e-6, --u all=5e-5, --delta-g 1e-4, --modulus 1e-3 --up-to 5) "
+            "or how long it may take (--time 4h)"
+        )
+    if request.up_to is not None and request.modulus is None:
+        raise Refused("--up-to belongs to --modulus: the uncertainty of |a| up to so many g")
+    if request.least not in {"time", "settings"}:
+        raise Refused(f"--least is time or settings, not {request.least!r}")
+    if not 3 <= request.angles <= MOST_ANGLES:
+        raise Refused(f"--angles {request.angles}: between 3 and {MOST_ANGLES} angles a turn")
+    out = request.out
+    if out is not None and out.exists():
+        raise Refused(f"--out {out}: this file exists and is not overwritten; give another name")
+    if out is not None and not out.absolute().parent.is_dir():
+        raise Refused(f"--out {out}: there is no such folder")
 
 
 def stand_of(
@@ -62,23 +139,16 @@ def stand_of(
     return Stand(model, bench.simulated_block(), sizes, known, hidden, meters)
 
 
-def stated_goals(
-    stand: Stand,
-    bench: BenchFile,
-    u: Sequence[str],
-    delta_g: float | None,
-    modulus: float | None,
-    up_to: str | None,
-) -> list[Goal]:
-    """Return what is to be reached: u of coefficients ("Kyx=20e-6"), of Δg, of |a| up to a size; else all alike."""
-    goals = coefficient_goals(dict(_size(text) for text in u))
-    if delta_g is not None:
-        goals += delta_g_of(stand, delta_g, "--delta-g")
-    if modulus is not None:
+def _goals(request: PlanPoints, stand: Stand, bench: BenchFile) -> list[Goal]:
+    """Return what is to be reached: u of coefficients, of Δg, of |a| up to a size; else all alike."""
+    goals = coefficient_goals(dict(_size(text) for text in request.u or ()))
+    if request.delta_g is not None:
+        goals += delta_g_of(stand, request.delta_g, "--delta-g")
+    if request.modulus is not None:
         up_to_g = bench.unit_under_test.range
-        if up_to is not None:
-            up_to_g = quantity("--up-to", up_to, ACCELERATION)
-        goals += modulus_goals(stand.block, up_to_g, modulus)
+        if request.up_to is not None:
+            up_to_g = quantity("--up-to", request.up_to, ACCELERATION)
+        goals += modulus_goals(stand.block, up_to_g, request.modulus)
     return [*goals, whole_goal(stand.block, goals)] if goals else [vector_goal(stand.block)]
 
 
@@ -109,13 +179,13 @@ def duration_s(option: str, text: str) -> float:
     return seconds
 
 
-def stated_times(setting: str, remount: str, soak: str, warm_up: str) -> Times:
+def _times(request: PlanPoints) -> Times:
     """Return what the steps of a procedure take. Raises `Refused` for a time that is none."""
     times = Times(
-        duration_s("--cost-setting", setting),
-        duration_s("--cost-remount", remount),
-        duration_s("--cost-soak", soak),
-        duration_s("--warm-up", warm_up),
+        duration_s("--cost-setting", request.cost_setting),
+        duration_s("--cost-remount", request.cost_remount),
+        duration_s("--cost-soak", request.cost_soak),
+        duration_s("--warm-up", request.warm_up),
     )
     if times.turn_s <= 0:
         raise Refused("--cost-setting: a setting takes some time; give at least 1 s")
@@ -150,17 +220,17 @@ def even_angles(bench: BenchFile, count: int) -> Floats:
     return np.sort(np.concatenate([angles[allowed], wrapped[lower & ~allowed]]))
 
 
-def paper_points(stand: Stand, goals: Sequence[Goal]) -> PaperPoints:
-    """Return what the paper's procedure gives on this bench for goals, to compare with."""
-    settings = fitted(settings_of(load_procedure(find_procedure(_COMPARED)).expand()))
+def _of_paper(stand: Stand, goals: Sequence[Goal]) -> tuple[int, dict[str, float]]:
+    """Return how many settings the paper's procedure has, and the largest u that it gives of goals by name."""
+    settings = fitted(settings_of(load_procedure(find_procedure("paper")).expand()))
     promise = stand.promise(settings, goals)
     u: dict[str, float] = {}
     for goal in promise.goals:
         u[goal.name] = max(goal.u(promise.readings), u.get(goal.name, 0.0))
-    return PaperPoints(len(settings), u)
+    return len(settings), u
 
 
-def write_procedure(
+def _write_procedure(
     file: Path, points: Points, times: Times, bench: BenchFile, *, verified: bool, asked: bool
 ) -> None:
     """Write the procedure, never over another file, and check it against the bench as `bench check` does."""
@@ -187,13 +257,3 @@ def _remarks(points: Points, bench: BenchFile, *, asked: bool) -> str:
         f"{points.count} settings in {len(points.visits)} mountings, about {duration(points.time_s)}.\n"
         f"Least well reached: {least} (standard uncertainty, generalised least squares).\n"
     )
-
-
-def worst_by_name(points: Points) -> list[Goal]:
-    """Return of goals with the same name (directions of an acceleration) the one that is furthest from reached."""
-    found: dict[str, Goal] = {}
-    for goal in points.promise.goals:
-        known = found.get(goal.name)
-        if known is None or points.u(goal) / goal.asked > points.u(known) / known.asked:
-            found[goal.name] = goal
-    return list(found.values())

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
-
-import numpy as np
 
 from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE
 from bench.base.yaml_files import FileMistakes
@@ -57,17 +55,29 @@ from bench.planning.until.pool import (
     with_hidden,
 )
 from bench.readings.table import VERIFICATION
+from bench.results.check import (
+    CheckResult,
+    DiskPart,
+    Findings,
+    OpenCoefficients,
+    disk_space,
+    observability_part,
+    outlook_in_words,
+    until_part,
+)
 from bench.run.events import Manifest, RecordError
 from bench.run.folder import BENCH, Run
 from bench.run.record import History
 from bench.run.resume import Progress
-from bench.run.sentences import duration, size_in_words
+from bench.run.sentences import size_in_words
 from bench.services.bench_selection import bench_path
 from bench.services.calibration import CalibrationResult, calibration_of
 from bench.services.errors import Refused
 from bench.services.learned import NOTHING, LearnedTaken, learned_for_run, with_effects
 from bench.services.points import delta_g_of, stand_of
 from bench.services.quantities import named, quantity
+from bench.services.requests.planning import Check
+from bench.services.requests.shared import runs_folder
 from bench.services.source import Request, load_sources
 from bench.services.traceability import remarks
 from drivers.clock import utc_now
@@ -75,7 +85,6 @@ from drivers.clock import utc_now
 COMBINED: Final = "combined:"
 EXAMPLE: Final = "all=5e-5 (V/g and V), combined:Kxx=1e-4, delta-g=1e-4, vector=7e-5, modulus=1e-3 or time=4h"
 _PARTS_TOLD: Final = 3
-_NEARLY_ALL: Final = 0.995
 
 
 # --- what is asked for ------------------------------------------------------------------------------
@@ -330,91 +339,20 @@ def outlook_until(
     return replace(found, learned=learned.known is not None and learned.known.noise is not None)
 
 
-def outlook_in_words(found: TimeOutlook) -> str:
-    """Say how long a run will take, and with how many settings: the median, and what 90 % of runs lie between."""
-    low_s, mid_s, high_s = found.quantiles(found.time_s)
-    low, mid, high = (round(n) for n in found.quantiles(found.settings))
-    reached = float(np.mean(found.reached))
-    noise = "was learned" if found.learned else "the bench file states"
-    words = (
-        f"at the noise that {noise}: {duration(mid_s)} (90 % of runs {duration(low_s)} to "
-        f"{duration(high_s)}) and {mid} settings ({low} to {high}), of the procedure's "
-        f"{duration(found.whole_s)} and {found.whole}"
-    )
-    if found.has_goal and reached < _NEARLY_ALL:
-        words += f"; reached in {100 * reached:.0f} % of runs, for then the procedure has no more points"
-    return words
+def look_ahead(request: Check) -> Findings:
+    """Return what a procedure will do on a bench.
 
-
-@dataclass(frozen=True)
-class Findings:
-    """What is known of a plan on a bench before it is carried out."""
-
-    plan: Plan
-    bench: BenchFile
-    problems: tuple[str, ...]
-    unanswered: tuple[str, ...]
-    operator_actions: int
-    by_kind_s: Mapping[str, float]
-    by_mount_s: Mapping[str, float]
-    longest_s: float
-    runs: Path
-    needed_bytes: int
-    free_bytes: int
-    largest_signal_v: float
-    undetermined: Mapping[float | None, tuple[str, ...]]
-    outlook: Outlook | None
-    hints: tuple[str, ...]
-    until: TimeOutlook | None = None
-
-    @property
-    def expected_s(self) -> float:
-        """Expected time of the whole plan, s."""
-        return sum(self.by_kind_s.values())
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the findings as JSON values."""
-        return {
-            "procedure": self.plan.name,
-            "bench": self.bench.name,
-            "plan_hash": self.plan.hash,
-            "steps": len(self.plan.steps),
-            "counts": self.plan.counts(),
-            "operator_actions": self.operator_actions,
-            "expected_s": self.expected_s,
-            "expected_by_kind_s": dict(self.by_kind_s),
-            "expected_by_installation_s": dict(self.by_mount_s),
-            "longest_s": self.longest_s,
-            "disk": {
-                "folder": str(self.runs),
-                "needed_bytes": self.needed_bytes,
-                "free_bytes": self.free_bytes,
-            },
-            "largest_signal_v": self.largest_signal_v,
-            "not_determined": [
-                {"temperature_c": at_c, "coefficients": list(names)}
-                for at_c, names in self.undetermined.items()
-            ],
-            "observability": self.outlook and self.outlook.to_json(),
-            "problems": list(self.problems),
-            "dry_run_refuses": list(self.unanswered),
-            "hints": list(self.hints),
-            **({} if self.until is None else {"until": self.until.to_json()}),
-        }
-
-
-def look_ahead(procedure: str, bench: str | None, runs: Path, until: Sequence[str] = ()) -> Findings:
-    """Return what a procedure will do on a bench; `runs` is the folder whose disk is looked at.
-
-    `until` are the goals at which a run is to end. Raises `Refused` with the mistakes of both files, and
-    for goals that cannot be reached.
+    Raises `Refused` with the mistakes of both files, and for goals that cannot be reached.
     """
-    plan, file = _load(procedure, bench)
-    found = _find(plan, file, runs)
-    if not until:
+    bench = None if request.bench is None else str(request.bench)
+    plan, file = _load(request.procedure, bench)
+    found = _find(plan, file, runs_folder(request.runs))
+    if not request.until:
         return found
     learned = learned_for_run(file, bench_path(bench), utc_now().isoformat(), simulated=None)
-    return replace(found, until=outlook_until(plan, file, until, learned))
+    until = outlook_until(plan, file, request.until, learned)
+    result = found.result.model_copy(update={"until": until_part(until)})
+    return replace(found, result=result, until=until)
 
 
 def _load(procedure: str, bench_name: str | None) -> tuple[Plan, BenchFile]:
@@ -443,24 +381,31 @@ def _find(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
             f"{runs}: a run needs about {disk_space(needed)} of disk, and {disk_space(free)} are free; make "
             "room or choose another folder with --runs"
         )
-    undetermined_at = {at_c: undetermined(force) for at_c, force in orientations(plan, bench).items()}
-    return Findings(
-        plan=plan,
-        bench=bench,
-        problems=tuple(problems),
-        unanswered=tuple(prompts_without_default(plan)),
+    open_at = {at_c: undetermined(force) for at_c, force in orientations(plan, bench).items()}
+    outlook = _outlook(plan, bench) if () in open_at.values() else None
+    by_kind_s = plan.duration_by_kind_s(bench.line_frequency, supply)
+    result = CheckResult(
+        procedure=plan.name,
+        bench=bench.name,
+        plan_hash=plan.hash,
+        steps=len(plan.steps),
+        counts=plan.counts(),
         operator_actions=operator_actions(plan, bench),
-        by_kind_s=plan.duration_by_kind_s(bench.line_frequency, supply),
-        by_mount_s=plan.duration_by_mount_s(bench.line_frequency, supply),
+        expected_s=sum(by_kind_s.values()),
+        expected_by_kind_s=by_kind_s,
+        expected_by_installation_s=plan.duration_by_mount_s(bench.line_frequency, supply),
         longest_s=plan.longest_duration_s(bench.line_frequency, supply),
-        runs=runs,
-        needed_bytes=needed,
-        free_bytes=free,
+        disk=DiskPart(folder=str(runs), needed_bytes=needed, free_bytes=free),
         largest_signal_v=largest_signal_v(plan, bench),
-        undetermined=undetermined_at,
-        outlook=_outlook(plan, bench) if () in undetermined_at.values() else None,
-        hints=tuple(_hints(bench)),
+        not_determined=[
+            OpenCoefficients(temperature_c=at_c, coefficients=list(names)) for at_c, names in open_at.items()
+        ],
+        observability=outlook and observability_part(outlook),
+        problems=problems,
+        dry_run_refuses=list(prompts_without_default(plan)),
+        hints=list(_hints(bench)),
     )
+    return Findings(result, plan, bench, outlook, None)
 
 
 def _hints(bench: BenchFile) -> Iterator[str]:
@@ -490,12 +435,3 @@ def _free_bytes(folder: Path) -> int:
     while not path.exists():
         path = path.parent
     return shutil.disk_usage(path).free
-
-
-def disk_space(size: float) -> str:
-    """Return a size in bytes as a person says it."""
-    for unit in ("B", "kB", "MB"):
-        if size < 1000:
-            return f"{size:.3g} {unit}"
-        size /= 1000
-    return f"{size:.4g} GB"

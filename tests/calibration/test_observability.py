@@ -181,12 +181,12 @@ def test_a_remount_by_180_deg_shows_neither_turn_nor_roll_and_a_third_installati
     assert {d.kind for d in third.directions} == {DirectionKind.TURN}
 
 
-def test_json_has_what_a_person_is_told():
-    found = observability(with_angles(paper(), (A1, A2, A3)), BLOCK).to_json()
-    assert (found["rank"], found["unknowns"]) == (16, 18)
-    assert [d["kind"] for d in found["directions"]] == ["turn", "turn"]
-    assert found["directions"][0]["members"]["alpha2[1]"] == pytest.approx(1.0, rel=1e-6)
-    assert sorted(found["determined"] + found["undetermined"]) == sorted(
+def test_what_is_determined_and_what_is_not_is_everything():
+    found = observability(with_angles(paper(), (A1, A2, A3)), BLOCK)
+    assert (found.rank, found.columns) == (16, 18)
+    assert {d.kind for d in found.directions} == {DirectionKind.TURN}
+    assert dict(found.directions[0].members)["alpha2[1]"] == pytest.approx(1.0, rel=1e-6)
+    assert sorted(found.determined + found.undetermined) == sorted(
         [*COEFFICIENTS, *(f"alpha{i}[{m}]" for i in (1, 2, 3) for m in "12")]
     )
 

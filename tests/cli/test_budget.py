@@ -69,6 +69,7 @@ def test_json_adds_up(bench):
     assert len(told["verification"]["points"]) == 4
     assert told["monte_carlo"]["trials"] == 2500
     assert len(told["monte_carlo"]["outputs"]) == 16
+    assert told["coefficients"]["Kxy"]["dof"] is None
 
 
 def test_printed_for_a_person(bench):

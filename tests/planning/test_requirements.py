@@ -84,7 +84,7 @@ def test_where_the_others_exceed_it_already_no_size_helps():
     assert {limit(asked, n).verdict for n in ("axis_tilt", "zero_offset", "setting_error")} == {
         "cannot be reached"
     }
-    assert limit(asked, "axis_tilt").to_json()["u"] is None
+    assert limit(asked, "axis_tilt").u is None
 
 
 @pytest.mark.slow

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy import special
 
 from bench.base.arrays import Floats
 from bench.base.computing import tracked
-from bench.base.numbers import finite_or_none
 from bench.calibration.budget.coefficients import Budget, Contribution, parts_of
 from bench.calibration.budget.error_source import ErrorSource
 from bench.calibration.budget.patterns import influences
@@ -182,10 +181,6 @@ class AtMagnitude:
     U_modulus_max: float
     share: dict[str, float]
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the values as JSON has them."""
-        return dict(vars(self))
-
 
 def over_directions(
     budget: Budget, magnitude_g: float, *, reading: bool = True, same_voltmeters: bool = False
@@ -231,10 +226,6 @@ class DeltaG:
     def capable(self) -> bool:
         """Whether the check can be passed with the coverage probability of U."""
         return self.accepted_up_to >= self.U
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the values as JSON has them."""
-        return {**vars(self), "dof": finite_or_none(self.dof), "capable": self.capable}
 
 
 def delta_g(
@@ -311,31 +302,6 @@ class ExactResult:
     linear: Propagated
     trials: Distributed
     verdict: Validation
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the comparison as JSON has it."""
-        outputs = {
-            name: {
-                "mean": float(self.trials.mean[i]),
-                "u": float(self.trials.u[i]),
-                "u_linear": float(self.linear.u[i]),
-                "ratio": float(self.verdict.ratio[i]),
-                "interval": self.trials.symmetric[i].tolist(),
-                "shortest": self.trials.shortest[i].tolist(),
-                "differences": [float(self.verdict.low[i]), float(self.verdict.high[i])],
-                "tolerance": float(self.verdict.tolerance[i]),
-                "validated": bool(self.verdict.validated[i]),
-            }
-            for i, name in enumerate(self.names)
-        }
-        return {
-            "trials": self.trials.trials,
-            "probability": self.trials.probability,
-            "digits": DIGITS,
-            "covariance": self.trials.covariance.tolist(),
-            "outputs": outputs,
-            "validated": bool(np.all(self.verdict.validated)),
-        }
 
 
 def exact_monte_carlo(budget: Budget, trials: int, seed: int = 1, digits: int = DIGITS) -> ExactResult:

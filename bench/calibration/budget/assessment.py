@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -105,26 +105,6 @@ class Assessment:
                 "gravity: coefficients per local g are free of it; it enters what is stated in m/s² or used "
                 "at another place"
             )
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the result as JSON has it; the names of bench and procedure are the caller's."""
-        question = self.question
-        return {
-            **self.budget.to_json(),
-            "acceleration": {
-                "range_g": question.range_g,
-                "same_voltmeters": question.same_voltmeters,
-                "magnitudes": [a.to_json() for a in self.accelerations],
-            },
-            "verification": {
-                "limit_g": question.limit_g,
-                **question.rule.to_json(),
-                "capable": self.capable,
-                "points": [point.to_json() for point in self.points],
-            },
-            "monte_carlo": None if self.exact is None else self.exact.to_json(),
-            "notes": list(self.notes),
-        }
 
 
 def assess(

@@ -6,19 +6,15 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.base.numbers import finite_or_none
 from bench.calibration.budget.error_source import ErrorSource
 from bench.calibration.budget.patterns import Seen, influences
 from bench.calibration.budget.propagation import (
     COVERAGE,
     Propagated,
-    correlation_of,
-    coverage_factor,
     effective_dof,
 )
 from bench.calibration.budget.setup import Setup
@@ -26,7 +22,6 @@ from bench.calibration.budget.setup import gain as gain_of
 from bench.calibration.budget.sources import sizes_by_name
 from bench.calibration.estimators import GLS
 from bench.calibration.known import KnownStand
-from bench.model.geometry import COEFFICIENTS
 
 
 @dataclass(frozen=True)
@@ -87,39 +82,6 @@ class Budget:
         found = {c.source.name: c for c in self.contributions}
         return found[name]
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the coefficients' part of the result: infinite degrees of freedom are null."""
-        total = self.combined
-        factor = coverage_factor(total.dof, self.probability)
-        return {
-            "estimator": self.estimator,
-            "order": list(COEFFICIENTS),
-            "probability": self.probability,
-            "coefficients": {
-                name: {
-                    "value": float(total.value[i]),
-                    "u": float(total.u[i]),
-                    "dof": finite_or_none(total.dof[i]),
-                    "k": float(factor[i]),
-                    "U": float(factor[i] * total.u[i]),
-                    "by_source": {c.source.name: float(c.u[i]) for c in self.contributions},
-                }
-                for i, name in enumerate(COEFFICIENTS)
-            },
-            "covariance": total.covariance.tolist(),
-            "correlation": total.correlation.tolist(),
-            "per_local_g": {
-                "u": self.per_local_g.u.tolist(),
-                "covariance": self.per_local_g.covariance.tolist(),
-            },
-            "groups": {
-                group: {"u": part.u.tolist(), "covariance": part.covariance.tolist()}
-                for group in dict.fromkeys(c.source.group for c in self.contributions)
-                for part in [self.of_group(group)]
-            },
-            "sources": {c.source.name: _source_json(c) for c in self.contributions},
-        }
-
 
 def make_budget(
     setup: Setup,
@@ -144,23 +106,3 @@ def parts_of(source: ErrorSource, setup: Seen, functionals: Floats) -> Floats:
     """Return what each draw of a source, one u large, adds to linear functionals (m, n, 3), shape (m, q)."""
     parts = [influence.through(functionals) for influence in influences(source, setup)]
     return source.acting(np.concatenate(parts, axis=1))
-
-
-def _source_json(contribution: Contribution) -> dict[str, Any]:
-    source = contribution.source
-    return {
-        "symbol": source.symbol,
-        "u": source.u,
-        "unit": source.unit,
-        "shown": source.shown,
-        "limit": source.distribution.limit,
-        "distribution": source.distribution.shape,
-        "common_to": source.common,
-        "group": source.group,
-        "dof": finite_or_none(source.dof),
-        "prior": source.prior,
-        "origin": source.origin,
-        "contribution_u": contribution.u.tolist(),
-        "covariance": contribution.covariance.tolist(),
-        "correlation": correlation_of(contribution.covariance).tolist(),
-    }

@@ -49,21 +49,6 @@ class TimeOutlook:
         """Return the quantiles `QUANTILES` of values (draws,)."""
         return [float(q) for q in np.quantile(values, QUANTILES, method="inverted_cdf")]
 
-    def to_json(self) -> dict[str, Any]:
-        """Return it as JSON values."""
-        return {
-            "draws": len(self.time_s),
-            "noise_of_stated": self.scale,
-            "quantiles": list(QUANTILES),
-            "time_s": self.quantiles(self.time_s),
-            "settings": self.quantiles(self.settings),
-            "mean_time_s": float(np.mean(self.time_s)),
-            "mean_settings": float(np.mean(self.settings)),
-            "reached": float(np.mean(self.reached)) if self.has_goal else None,
-            "whole_time_s": self.whole_s,
-            "whole_settings": self.whole,
-        }
-
 
 def time_outlook(chooser: Chooser, scale: float = 1.0, draws: int = DRAWS, seed: int = 1) -> TimeOutlook:
     """Draw runs at a noise of `scale` times what the bench file states."""

@@ -94,8 +94,9 @@ def test_too_few_trials_are_refused():
 
 def test_the_same_seed_gives_the_same_result():
     budget = make_budget(paper_setup(), stand())
-    first, second = (exact_monte_carlo(budget, 3000, seed=7).to_json() for _ in range(2))
-    assert first == second
+    first, second = (exact_monte_carlo(budget, 3000, seed=7) for _ in range(2))
+    np.testing.assert_array_equal(first.trials.covariance, second.trials.covariance)
+    np.testing.assert_array_equal(first.trials.symmetric, second.trials.symmetric)
 
 
 @pytest.mark.parametrize("with_effect", [False, True])

@@ -1,0 +1,153 @@
+"""check, init, budget, require, plan-points: what is known before anything is measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bench.cli import printing, progress
+from bench.cli.options import JsonOption, OutOption, WithEstimators, app, devices_given
+from bench.cli.requested import requested
+from bench.services.errors import Refused
+from bench.services.requests.planning import Budget, Check, Init, PlanPoints, Require
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from bench.results.budget import BudgetResult
+    from bench.results.check import Findings
+    from bench.results.parts import BenchPart
+
+
+@app.command(epilog="Example: bench check calibration --bench my-bench.yaml")
+@requested
+def check(
+    request: Check,
+    json: JsonOption = None,
+    every_step: Annotated[
+        bool, typer.Option("--all", help="List each step, not runs of equal ones.")
+    ] = False,
+    instruments: Annotated[
+        bool, typer.Option("--instruments", help="Then open the bench's instruments, too.")
+    ] = False,
+) -> int:
+    """Validate a procedure against a bench and print steps, time and operator actions; touch no instrument."""
+    from bench.results.check import print_findings
+    from bench.services.until import look_ahead
+
+    found = look_ahead(request)
+    printing.write_json([found.result.to_dict()], json)
+    if json != "-":
+        print_findings(found, printing.console(), every_step=every_step)
+        _offer_dry_run(found, request)
+    status = 1 if found.result.problems else 0
+    if not instruments:
+        return status
+    from bench.cli.instruments import look
+
+    return max(status, look(None if request.bench is None else str(request.bench)))
+
+
+def _offer_dry_run(found: Findings, request: Check) -> None:
+    if found.can_be_tried:
+        typed = [f"--bench {request.bench}"] if request.bench else []
+        typed += [f"--devices {folder}" for folder in devices_given.get()]
+        words = " ".join(["bench run", request.procedure, *typed, "--dry-run"])
+        printing.console().print(f"no mistakes found; try it in seconds with: {words}")
+
+
+@app.command(epilog="Example: bench init my-lab")
+@requested
+def init(request: Init) -> int:
+    """Write copies of the shipped procedures and bench files, to edit."""
+    from bench.config.shipped import copy_shipped
+
+    folder = request.folder
+    try:
+        copied = copy_shipped(folder)
+    except OSError as error:
+        raise Refused(f"{folder}: cannot be written ({error.strerror}); choose another folder") from error
+    out = printing.console()
+    for path in copied:
+        out.print(f"wrote {path}")
+    if not copied:
+        out.print(f"{folder}: every shipped file is there already; nothing was written")
+    return 0
+
+
+@app.command(
+    cls=WithEstimators,
+    epilog="Example: bench budget --bench my-bench.yaml --procedure paper --estimator closed-form",
+)
+@requested
+def budget(request: Budget, json: JsonOption = None, out: OutOption = None) -> int:
+    """What each error of the bench contributes to the coefficients and to any measured acceleration.
+
+    With --rule the exit status is 1 when the check at the verification points cannot be passed with 95 %.
+    """
+    printing.check_target(json)
+    with progress.shown():
+        from bench.services.budget import budget_of
+
+        found = budget_of(request)
+    _say_bench(found.bench_file, json)
+    printing.write_json([found.to_dict()], json)
+    if out is not None:
+        _write_page(out, found, printing.console(json=json))
+    if json != "-":
+        found.print_on(printing.console())
+    return 1 if request.rule is not None and found.capable is False else 0
+
+
+def _write_page(folder: Path, found: BudgetResult, out: Console) -> None:
+    """Write the page and its figures. Raises `OSError`."""
+    from bench.results.budget import figures
+
+    folder.mkdir(parents=True, exist_ok=True)
+    page = folder / "budget.html"
+    found.report(page)
+    printing.written("page", page, out)
+    for figure in figures(found):
+        for file in figure.save(folder):
+            printing.written("figure", file, out)
+
+
+@app.command(
+    cls=WithEstimators,
+    epilog="Example: bench require --accuracy 3e-4 --estimator closed-form --procedure paper",
+)
+@requested
+def require(request: Require, json: JsonOption = None) -> int:
+    """How large each error of the bench may be for an accuracy; exit status 1 when it is not kept now."""
+    printing.check_target(json)
+    with progress.shown():
+        from bench.services.budget import requirements
+
+        found = requirements(request)
+    _say_bench(found.result.bench_file, json)
+    found.print_on(printing.console(json=json))
+    printing.write_json([found.result.to_dict()], json)
+    return 0 if found.result.kept else 1
+
+
+@app.command("plan-points", epilog="Example: bench plan-points --u all=1.2e-4 --out procedures/short.yaml")
+@requested
+def plan_points(request: PlanPoints, json: JsonOption = None) -> int:
+    """Test points that reach an uncertainty in the least bench time, or the most in a given time."""
+    printing.check_target(json)
+    with progress.shown():
+        from bench.services.points import planned
+
+        found = planned(request)
+    _say_bench(found.result.bench_file, json)
+    found.print_on(printing.console(json=json))
+    printing.write_json([found.result.to_dict()], json)
+    return 1 if found.result.reached is False else 0
+
+
+def _say_bench(bench: BenchPart, json: str | None) -> None:
+    """Say first which bench file is taken, and why that one."""
+    if json != "-":
+        printing.console().print(f"bench file: {bench.words} ({bench.file})")

@@ -1,0 +1,267 @@
+"""The result of `bench check`: what a procedure does on a bench, as JSON and as text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from pydantic import Field
+from rich.console import Console
+
+from bench.base.result_model import ResultModel
+from bench.base.tables import table
+from bench.config.bench_file.file import BenchFile
+from bench.config.procedure.check import switched_before
+from bench.config.procedure.listing import listing
+from bench.config.procedure.plan import Plan
+from bench.model.geometry import COEFFICIENTS
+from bench.planning.settings import Outlook, Remedy
+from bench.planning.until.outlook import QUANTILES, TimeOutlook
+from bench.run.sentences import duration
+
+_REMEDIES_LISTED: Final = 2
+_NEARLY_ALL: Final = 0.995
+
+
+class DiskPart(ResultModel):
+    """The disk that a run needs."""
+
+    folder: str
+    needed_bytes: int
+    free_bytes: int
+
+
+class OpenCoefficients(ResultModel):
+    """The coefficients that the readings at one temperature do not determine."""
+
+    temperature_c: float | None
+    coefficients: list[str]
+
+
+class DirectionPart(ResultModel):
+    """A combination of coefficients and stand errors that stays open."""
+
+    kind: str = Field(description="`turn`: a common turn of the block's axes")
+    text: str
+    members: dict[str, float]
+
+
+class RemedyPart(ResultModel):
+    """What more could be measured."""
+
+    text: str
+    determines: int = Field(description="how many combinations more it determines")
+    cost_s: float
+
+
+class ObservabilityPart(ResultModel):
+    """What the readings determine of coefficients and stand."""
+
+    rank: int
+    unknowns: int
+    determined: list[str]
+    undetermined: list[str]
+    directions: list[DirectionPart]
+    remedies: list[RemedyPart] = Field(description="those that determine more, the cheapest first")
+
+
+class UntilPart(ResultModel):
+    """Bench time and settings of a run with goals, over the noise that the bench file states."""
+
+    draws: int
+    noise_of_stated: float
+    quantiles: list[float]
+    time_s: list[float]
+    settings: list[float]
+    mean_time_s: float
+    mean_settings: float
+    reached: float | None = Field(description="part of the runs that reach the goals; null for a time alone")
+    whole_time_s: float
+    whole_settings: int
+
+
+class CheckResult(ResultModel):
+    """What a procedure does on a bench, and what its readings will show."""
+
+    procedure: str
+    bench: str
+    plan_hash: str = Field(description="SHA-256 of the plan; a run is resumed only with the same")
+    steps: int
+    counts: dict[str, int] = Field(description="by kind of step")
+    operator_actions: int
+    expected_s: float = Field(description="bench time, s")
+    expected_by_kind_s: dict[str, float]
+    expected_by_installation_s: dict[str, float] = Field(description="empty name: before the first mounting")
+    longest_s: float = Field(description="with every repetition that failures allow")
+    disk: DiskPart
+    largest_signal_v: float
+    not_determined: list[OpenCoefficients] = Field(
+        description="by temperature the coefficients that the readings do not determine"
+    )
+    observability: ObservabilityPart | None
+    problems: list[str] = Field(description="mistakes between procedure and bench")
+    dry_run_refuses: list[str] = Field(description="prompts without a default")
+    hints: list[str] = Field(description="what is likely a mistake on a real bench")
+    until: UntilPart | None = Field(default=None, description="with --until: how long such a run takes")
+
+
+@dataclass(frozen=True)
+class Findings:
+    """The result of a check, with what its text needs beside: the plan, the bench, the outlooks."""
+
+    result: CheckResult
+    plan: Plan
+    bench: BenchFile
+    outlook: Outlook | None
+    until: TimeOutlook | None
+
+    @property
+    def can_be_tried(self) -> bool:
+        """Whether nothing forbids a dry run."""
+        return not (self.result.problems or self.result.dry_run_refuses)
+
+
+def observability_part(outlook: Outlook) -> ObservabilityPart:
+    """Return what planned readings leave open, as a result has it."""
+    found = outlook.found
+    return ObservabilityPart(
+        rank=found.rank,
+        unknowns=found.columns,
+        determined=list(found.determined),
+        undetermined=list(found.undetermined),
+        directions=[
+            DirectionPart(kind=d.kind.name.lower(), text=d.text(), members=dict(d.members))
+            for d in found.directions
+        ],
+        remedies=[RemedyPart.from_object(remedy) for remedy in outlook.remedies],
+    )
+
+
+def until_part(found: TimeOutlook) -> UntilPart:
+    """Return how long a run with goals takes, as a result has it."""
+    return UntilPart(
+        draws=len(found.time_s),
+        noise_of_stated=found.scale,
+        quantiles=list(QUANTILES),
+        time_s=found.quantiles(found.time_s),
+        settings=found.quantiles(found.settings),
+        mean_time_s=np.mean(found.time_s),
+        mean_settings=np.mean(found.settings),
+        reached=np.mean(found.reached) if found.has_goal else None,
+        whole_time_s=found.whole_s,
+        whole_settings=found.whole,
+    )
+
+
+# --- text in the terminal -----------------------------------------------------------------------------
+
+
+def print_findings(found: Findings, out: Console, *, every_step: bool = False) -> None:
+    """Print the steps, times, what stays open, and every problem."""
+    result, plan, bench = found.result, found.plan, found.bench
+    if (before := switched_before(plan, bench)) is not None:
+        out.print(f"{'before':>13}  {before}")
+    for line in listing(plan, every_step=every_step):
+        steps = f"{line.first}" if line.first == line.last else f"{line.first}–{line.last}"
+        out.print(f"{steps:>13}  {line.text}")
+    by_kind = table("step", ">count", ">expected time")
+    for kind, seconds in result.expected_by_kind_s.items():
+        by_kind.add_row(kind, str(result.counts.get(kind, "")), duration(seconds))
+    by_installation = table("installation", ">expected time")
+    for name, seconds in result.expected_by_installation_s.items():
+        by_installation.add_row(name or "before", duration(seconds))
+    out.print(by_kind)
+    out.print(by_installation)
+    longer = result.longest_s > result.expected_s
+    at_most = f" (at most {duration(result.longest_s)})" if longer else ""
+    out.print(
+        f"{result.procedure} on {result.bench}: {result.steps} steps, {result.operator_actions} operator actions, "
+        f"about {duration(result.expected_s)}{at_most}; plan {result.plan_hash[:12]}"
+    )
+    disk = result.disk
+    out.print(
+        f"signals up to {result.largest_signal_v:.3g} V at nominal scale factors, on the "
+        f"{bench.voltmeter_range_v:g} V range; about {disk_space(disk.needed_bytes)} in {disk.folder}, where "
+        f"{disk_space(disk.free_bytes)} are free"
+    )
+    for sentence in (*_coefficients_in_words(result.not_determined), *_open_in_words(found.outlook)):
+        out.print(sentence)
+    if found.until is not None:
+        out.print(f"--until: {outlook_in_words(found.until)}")
+    for lead, sentences in (
+        ("look", result.hints),
+        ("cannot be done", result.problems),
+        ("a dry run refuses it", result.dry_run_refuses),
+    ):
+        for sentence in sentences:
+            out.print(f"{lead}: {sentence}")
+
+
+def _coefficients_in_words(not_determined: list[OpenCoefficients]) -> Iterator[str]:
+    """Say which coefficients a calibration determines, by temperature where there are several."""
+    if not not_determined:
+        yield "no calibration: it has no reading in an installation of known orientation"
+    temperatures: dict[tuple[str, ...], list[str]] = {}
+    for one in not_determined:
+        at = "the first temperature" if one.temperature_c is None else f"{one.temperature_c:g} °C"
+        temperatures.setdefault(tuple(one.coefficients), []).append(at)
+    for names, places in temperatures.items():
+        where = f"at {', '.join(places)}: " if len(not_determined) > 1 else ""
+        if not names:
+            yield f"{where}determines all twelve coefficients"
+        elif len(names) == len(COEFFICIENTS):
+            yield f"{where}no calibration: the orientations determine none of the twelve coefficients"
+        else:
+            determined = [name for name in COEFFICIENTS if name not in names]
+            yield (
+                f"{where}no calibration by itself: the orientations determine {', '.join(determined)} and "
+                f"leave {', '.join(names)} open"
+            )
+
+
+def _open_in_words(found: Outlook | None) -> Iterator[str]:
+    """Say what the readings leave open between coefficients and stand, and the cheapest ways to show it."""
+    if found is None:
+        return
+    for sentence in found.open:
+        yield f"leaves open: {sentence}"
+    if found.open:
+        ways = "; ".join(map(_remedy_in_words, found.remedies[:_REMEDIES_LISTED]))
+        yield f"would be shown by: {ways or 'nothing that this bench can do'}"
+    if found.turns:
+        yield (
+            f"leaves open, as every procedure on one head does: a common turn of the block's axes (about "
+            f"{', '.join(found.turns)}); the limits of the stand's angles alone hold it"
+        )
+
+
+def _remedy_in_words(remedy: Remedy) -> str:
+    cost = f"about {duration(remedy.cost_s)} more" if remedy.cost_s else "no further readings"
+    return f"{remedy.text} ({cost})"
+
+
+def outlook_in_words(found: TimeOutlook) -> str:
+    """Say how long a run will take, and with how many settings: the median, and what 90 % of runs lie between."""
+    low_s, mid_s, high_s = found.quantiles(found.time_s)
+    low, mid, high = (round(n) for n in found.quantiles(found.settings))
+    reached = float(np.mean(found.reached))
+    noise = "was learned" if found.learned else "the bench file states"
+    words = (
+        f"at the noise that {noise}: {duration(mid_s)} (90 % of runs {duration(low_s)} to "
+        f"{duration(high_s)}) and {mid} settings ({low} to {high}), of the procedure's "
+        f"{duration(found.whole_s)} and {found.whole}"
+    )
+    if found.has_goal and reached < _NEARLY_ALL:
+        words += f"; reached in {100 * reached:.0f} % of runs, for then the procedure has no more points"
+    return words
+
+
+def disk_space(size: float) -> str:
+    """Return a size in bytes as a person says it."""
+    for unit in ("B", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.4g} GB"

@@ -1,0 +1,303 @@
+"""The results of `bench require` and `bench plan-points`, as JSON and as text."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Final, Literal
+
+from pydantic import Field
+from rich.console import Console
+from rich.table import Table
+
+from bench.base.numbers import figures
+from bench.base.result_model import Matrix, ResultModel
+from bench.base.tables import table
+from bench.planning.points import Points
+from bench.planning.requirements import Limit
+from bench.results.parts import BenchPart
+from bench.run.sentences import duration
+
+_MICRO: Final = 1e-6
+_SHOWN: Final = {
+    "rad": ("″", math.pi / 648000),
+    "rad/s": ("″ a day", math.pi / 648000 / 86400),
+    "V": (" µV", _MICRO),
+    "1": (" ppm", _MICRO),
+    "1/g": (" µg/g²", _MICRO),
+    "1/g^2": (" µg/g³", _MICRO),
+}
+"""The unit in which the size of an error is printed, with its size in SI."""
+
+
+# --- what the bench must be -----------------------------------------------------------------------------
+
+
+class LimitPart(ResultModel):
+    """How large an error of the bench may be."""
+
+    name: str
+    symbol: str
+    unit: str
+    verdict: Literal["limit", "no limit", "cannot be reached"]
+    u: float | None = Field(description="largest standard uncertainty, SI")
+    limit: float | None = Field(description="the same as a limit of `distribution`")
+    distribution: str
+    k: float
+    u_now: float = Field(description="as the bench file states it")
+    part: float | None = Field(default=None, description="its part of the variance now")
+
+    @classmethod
+    def of_limit(cls, found: Limit, **part: float) -> LimitPart:
+        """Return a limit as the result has it."""
+        source = found.source
+        return cls(
+            name=source.name,
+            symbol=source.symbol,
+            unit=source.unit,
+            verdict=found.verdict,
+            u=None if found.stated is None else found.u,
+            limit=found.stated,
+            distribution=source.distribution.shape,
+            k=source.distribution.k,
+            u_now=source.u,
+            **part,
+        )
+
+    @property
+    def words(self) -> str:
+        """The limit in the unit of the bench file, or why there is none."""
+        return self.verdict if self.limit is None else self.shown(self.limit, down=True)
+
+    @property
+    def now(self) -> str:
+        """The size that the bench file states."""
+        return self.shown(self.u_now * (math.sqrt(3.0) if self.distribution == "rectangular" else self.k))
+
+    def shown(self, value: float, *, down: bool = False) -> str:
+        """Return a size with its unit; `down` rounds towards zero."""
+        unit, size = _SHOWN.get(self.unit, (f" {self.unit}", 1.0))
+        return f"{figures(value / size, down=down)}{unit}"
+
+
+class AlternativePart(ResultModel):
+    """Another estimator or procedure: what it gives on the bench as it is."""
+
+    estimator: str
+    procedure: str
+    settings: int
+    time_s: float
+    reached: float
+    kept: bool
+    limit_alone: LimitPart
+
+
+class RequireResult(ResultModel):
+    """What the bench must be for an accuracy."""
+
+    of: str = Field(description="delta-g, modulus, acceleration or a coefficient")
+    up_to: str | None = Field(description="largest acceleration, as it was asked for")
+    accuracy: float = Field(description="asked for")
+    unit: str
+    k: float = Field(description="standard uncertainties that must keep to it")
+    bench: str
+    bench_file: BenchPart
+    procedure: str
+    estimator: str
+    reached: float = Field(description="k u of the bench as it is")
+    kept: bool = Field(description="whether the bench as it is keeps to the accuracy")
+    not_counted: float = Field(description="k u of what is not counted")
+    alone: list[LimitPart] = Field(description="how large each error may be, the others being as they are")
+    share: str = Field(description="equal or cost")
+    together: list[LimitPart] = Field(description="how large all may be together")
+    why_not_together: str | None
+    alternatives: list[AlternativePart]
+
+
+def print_requirement(
+    found: RequireResult, out: Console, *, up_to_g: float | None, left_out: tuple[str, ...]
+) -> None:
+    """Print the limits, the alternatives, whether the bench as it is keeps to the accuracy.
+
+    `up_to_g` is the largest acceleration, where one is asked about; `left_out` says what is not counted.
+    """
+    up_to = "" if up_to_g is None else f" up to {up_to_g:g} g"
+    out.print(
+        f"{found.of}{up_to}: {found.k:g} u within {_micro(found.accuracy)} µ{found.unit}, by {found.estimator} "
+        f"from procedure {found.procedure} on {found.bench}"
+    )
+    out.print(_limit_table(found))
+    if found.why_not_together:
+        out.print(f"no balanced set: {found.why_not_together}")
+    out.print(_alternative_table(found))
+    counted = " by the errors counted" if found.not_counted else ""
+    out.print(
+        f"bench as it is: {found.k:g} u = {_micro(found.reached)} µ{found.unit}{counted}: "
+        f"{'KEPT' if found.kept else 'NOT KEPT'}",
+        style="bold",
+    )
+    if found.not_counted:
+        more = ", MORE THAN THE ACCURACY" if found.not_counted > found.accuracy else ""
+        out.print(
+            f"not counted: {' and '.join(left_out)}: {found.k:g} u = {_micro(found.not_counted)} µ{found.unit} "
+            f"by itself{more}"
+        )
+
+
+def _limit_table(found: RequireResult) -> Table:
+    how = "equal shares" if found.share == "equal" else "by cost"
+    shown = table("error", "as", ">now", ">part of variance", ">limit alone", f">limits together, {how}")
+    together = {limit.name: limit.words for limit in found.together}
+    for limit in found.alone:
+        form = "limits" if limit.distribution == "rectangular" else f"k = {limit.k:g}"
+        shown.add_row(
+            limit.name, form, limit.now, f"{limit.part or 0:.1%}", limit.words, together.get(limit.name, "")
+        )
+    return shown
+
+
+def _alternative_table(found: RequireResult) -> Table:
+    name = found.alternatives[0].limit_alone.name if found.alternatives else ""
+    shown = table(
+        "estimator", "procedure", ">settings", ">time", f">{found.k:g} u", f">limit of {name} alone"
+    )
+    for other in found.alternatives:
+        shown.add_row(
+            other.estimator,
+            other.procedure,
+            str(other.settings),
+            duration(other.time_s),
+            f"{_micro(other.reached)} µ{found.unit}",
+            other.limit_alone.words,
+        )
+    return shown
+
+
+def _micro(value: float) -> str:
+    return figures(value / _MICRO, 4)
+
+
+# --- test points ------------------------------------------------------------------------------------------
+
+
+class GoalPart(ResultModel):
+    """A goal of the plan, and how well it is reached."""
+
+    name: str
+    unit: str
+    asked_u: float | None
+    u: float = Field(description="combined, as calibrate (of Δg verify) will sign it")
+    u_paper: float = Field(description="of the paper's points")
+
+
+class PointPart(ResultModel):
+    """A setting of the head."""
+
+    installation: str
+    series: int
+    pass_number: int = Field(alias="pass")
+    point: int
+    angle_deg: float
+    direction: Literal[-1, 1]
+
+
+class PlanPointsResult(ResultModel):
+    """Test points that reach an uncertainty with the least bench time."""
+
+    bench: str
+    bench_file: BenchPart
+    settings: int
+    mountings: list[str]
+    time_s: float
+    reached: bool | None = Field(description="whether every goal is met; null without goals")
+    goals: list[GoalPart]
+    points: list[PointPart]
+    lack_of_fit_tested: bool = Field(description="whether there are repeats enough for that test")
+    covariance: Matrix = Field(description="combined, of the twelve coefficients")
+    procedure: str | None = Field(description="path of the procedure file that was written")
+
+
+def plan_points_result(
+    points: Points, u_paper: dict[str, float], bench: BenchPart, procedure: str | None, *, asked: bool
+) -> PlanPointsResult:
+    """Return the result of chosen points.
+
+    `u_paper` has u of each goal at the paper's points; `asked` is whether there are goals.
+    """
+    return PlanPointsResult(
+        bench=bench.name,
+        bench_file=bench,
+        settings=points.count,
+        mountings=[str(mount) for mount in points.visits],
+        time_s=points.time_s,
+        reached=points.reached if asked else None,
+        goals=[
+            GoalPart(
+                name=goal.name,
+                unit=goal.unit,
+                asked_u=goal.asked if asked else None,
+                u=points.u(goal),
+                u_paper=u_paper[goal.name],
+            )
+            for goal in points.worst_by_name()
+        ],
+        points=[
+            PointPart(
+                installation=s.mount.installation,
+                series=s.mount.series,
+                pass_number=s.pass_number,
+                point=s.point,
+                angle_deg=round(math.degrees(s.angle_rad), 9),
+                direction=1 if s.direction > 0 else -1,
+            )
+            for s in points.settings()
+        ],
+        lack_of_fit_tested=points.fit_is_tested,
+        covariance=points.covariance,
+        procedure=procedure,
+    )
+
+
+def print_points(
+    found: PlanPointsResult, out: Console, *, paper_settings: int, learned: bool, time: str | None
+) -> None:
+    """Print the points of each mounting, the goals, the time, and what a reader should know.
+
+    `learned` is whether something was learned of the bench, `time` the one that was allowed.
+    """
+    shown = table("installation", ">settings", "angles (visits where more than one)")
+    visits: dict[tuple[int, str], Counter[float]] = {}
+    for point in found.points:
+        visits.setdefault((point.series, point.installation), Counter())[point.angle_deg] += 1
+    for mount, angles in zip(found.mountings, visits.values(), strict=True):
+        visited = (f"{angle:.6g}°" + (f"×{n}" if n > 1 else "") for angle, n in sorted(angles.items()))
+        shown.add_row(mount, str(angles.total()), " ".join(visited))
+    out.print(shown)
+    out.print(_goal_table(found, paper_settings))
+    out.print(
+        f"{found.settings} settings in {len(found.mountings)} mountings on {found.bench}: about "
+        f"{duration(found.time_s)}, warm-up and verification points included"
+    )
+    out.print("u is the combined one, which 'bench calibrate' will sign; 'bench budget' has its parts")
+    if learned:
+        out.print("what was learned of this bench is not in it: a plan goes by the limits of the bench file")
+    if not found.lack_of_fit_tested:
+        out.print(
+            "too few repeats for a calibration's lack-of-fit test: an error that no file states may go unseen"
+        )
+    if found.procedure is not None:
+        out.print(f"procedure: {found.procedure}")
+    if found.reached is False:
+        times, name = max((goal.u / (goal.asked_u or math.inf), goal.name) for goal in found.goals)
+        out.print(f"NOT REACHED in {time}: {name} is {times:.3g} times what is asked")
+
+
+def _goal_table(found: PlanPointsResult, paper_settings: int) -> Table:
+    asked = found.reached is not None
+    of_paper = f">u of the paper's {paper_settings} settings"
+    shown = table("goal", *([">asked u"] if asked else []), ">planned u", of_paper, ">")
+    for goal in found.goals:
+        sizes = [goal.asked_u, goal.u, goal.u_paper]
+        row = (figures(size * 1e6) for size in sizes if size is not None)
+        shown.add_row(goal.name, *row, f"µ{goal.unit}")
+    return shown
