@@ -45,21 +45,20 @@ def synced(where: str, folder: str) -> dict[str, Any]:
     from bench.catalogue.sync import sync
 
     with open_catalogue(where) as catalogue:
-        done = sync(catalogue, [folder]).to_json()
-    return {**done, "problems": len(done["problems"])}
+        done = sync(catalogue, [folder])
+    return {**vars(done), "problems": len(done.problems)}
 
 
 def asked(where: str, kind: str, words: list[str], of: str) -> int:
     """Ask one question; return how many rows it has."""
-    from bench.catalogue.answers import answer
-    from bench.catalogue.questions import run_folders
+    from bench.catalogue.questions import answer, run_folders
     from bench.catalogue.store import open_catalogue
     from bench.catalogue.unit import unit_history
     from bench.catalogue.values import coefficient_table
 
     with open_catalogue(where, existing=True) as catalogue:
         if kind == "unit":
-            return len(unit_history(catalogue, words[0]).table)
+            return len(unit_history(catalogue, words[0]).calibrations)
         if kind == "folders":
             return len(run_folders(catalogue, words))
         if kind == "table":

@@ -85,7 +85,7 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "signing": ("cryptography", "rfc3161_client"),
     "panel": ("starlette", "uvicorn", "h11"),
     "certificate": ("typst", "lxml", "signxml", "pyhanko", "pyhanko_certvalidator", "asn1crypto", "pikepdf"),
-    "catalogue": ("sqlalchemy", "alembic", "pyarrow", "duckdb"),
+    "catalogue": ("sqlalchemy", "pyarrow", "duckdb"),
     "postgresql": ("psycopg",),
     "cluster": ("dask", "distributed"),
     "pkcs11": ("pkcs11",),

@@ -10,17 +10,27 @@ from typing import Any, Final
 
 from bench.calibration.estimators import GLS, find_estimator
 from bench.config.bench_file.file import load_bench
+from bench.config.formulas import files_of_environment
 from bench.config.shipped import find_bench
 from bench.model.geometry import COEFFICIENTS
 from bench.run.events import sha256
 from bench.services.errors import Refused
 from bench.services.provenance import versions
+from bench.services.requests.documents import Batch, BatchCalibrate, BatchDiagnose, BatchReport
 from bench.services.source import Request, check_gravity
 from bench.services.verification import Asked
 
 CALIBRATE: Final = "calibrate"
 DIAGNOSE: Final = "diagnose"
 REPORT: Final = "report"
+_COMMANDS: Final = {BatchCalibrate: CALIBRATE, BatchDiagnose: DIAGNOSE, BatchReport: REPORT}
+
+PAGES: Final = "pages"
+"""The folder of pages in the folder of a batch."""
+CALIBRATE_FILE: Final = "calibrate.json"
+VERIFY_FILE: Final = "verify.json"
+DIAGNOSE_FILE: Final = "diagnose.json"
+"""Earlier results in a run's folder."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +93,22 @@ class Job:
         given["population"] = None if self.population is None else list(self.population)
         given["effects"] = [_named(file) for file in self.effects]
         return given | {name: _named(given[name]) for name in ("bench", "model") if given[name]}
+
+
+def job_of(request: Batch) -> Job:
+    """Return the job of a request, with the effects that the environment names."""
+    other_names = {"g": "g_m_s2", "limit": "limit_g"}
+    given = {other_names.get(one.name, one.name): getattr(request, one.name) for one in fields(request)}
+    mine = {one.name: given[one.name] for one in fields(Job) if one.name in given}
+    return Job(
+        **mine
+        | {
+            "command": _COMMANDS[type(request)],
+            "model": None if request.model is None else str(request.model),
+            "effects": tuple(files_of_environment()),
+            "pages": str((request.out / PAGES).absolute()) if isinstance(request, BatchReport) else "",
+        }
+    )
 
 
 def _named(file: str) -> dict[str, str]:

@@ -1,16 +1,21 @@
-"""What came of a batch: its whole table; which verdicts are other ones, how far coefficients went."""
+"""A batch carried out: its whole table, which verdicts would be different, how far coefficients went."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from bench.base.files import to_text, write_whole
-from bench.batch.job import COLUMNS, DIAGNOSE, NOT_IN_TEXT
-from bench.batch.store import PARTS, RUNS, Store
+from bench.batch import processes
+from bench.batch.job import COLUMNS, DIAGNOSE, NOT_IN_TEXT, Job, job_of
+from bench.batch.store import PARTS, RUNS, Computed, Course, Store, list_runs
+from bench.results.batch import BatchResult
+from bench.services.errors import Refused
+from bench.services.requests.documents import Batch
+from bench.services.requests.shared import runs_folder
 
 TABLE: Final = "changes"
 DIFFERENT: Final = "verdicts.csv"
@@ -25,32 +30,59 @@ _PARTS_OF_THE_LISTED: Final = (
 )
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """The summary of a batch as JSON has it, and the folder in which its tables stand."""
+def carried_out(request: Batch, tell: Callable[[Iterable[str]], None]) -> BatchResult:
+    """Compute the runs of a batch that are not done yet; return what came of all. `tell` is given notes.
 
-    summary: Mapping[str, Any]
-    folder: Path
+    Raises `Refused` for what no run could be asked, and where a Ctrl-C ended it.
+    """
+    job = job_of(request).checked()
+    listed = list_runs(request.over, runs_folder(request.runs), request.catalogue)
+    tell(f"{place} is no run and holds none: left out" for place in listed.no_runs)
+    with Store(request.out) as store:
+        left = store.begin(job, request.over, listed.runs)
+        tell(left.notes)
+        try:
+            if left.pending:
+                computed = _computing(job, request, len(left.pending))
+                Course(store, job.command).carry_out(left, computed)
+        except KeyboardInterrupt:
+            done = len(listed.runs) - len(store.begin(job, request.over, listed.runs).pending)
+            raise Refused(
+                f"stopped by Ctrl-C; {done} of {len(listed.runs)} runs are done; the same command goes on"
+            ) from None
+        return conclude(store)
 
-    @property
-    def different(self) -> int:
-        """How many verdicts would be different."""
-        return int(self.summary["verdicts"]["different"])
 
-    @property
-    def failed(self) -> int:
-        """How many runs gave nothing."""
-        return int(self.summary["runs"]["failed"])
+def _computing(job: Job, request: Batch, pending: int) -> Computed:
+    """Return what computes: the workers of a cluster, or as many processes as there are cores."""
+    address = request.scheduler
+    if address is not None:
+        return lambda runs: processes.by_scheduler(job, runs, address)
+    workers = min(request.workers or _cores(), pending)
+    return lambda runs: processes.by_processes(job, runs, workers)
 
 
-def conclude(store: Store) -> Outcome:
+def _cores() -> int:
+    """Return how many cores this program may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def outcome_in(folder: Path) -> BatchResult:
+    """Return what has come of the batch in a folder. Raises `Refused` where there is none."""
+    store = Store(folder)
+    store.noted()
+    with store:
+        return conclude(store)
+
+
+def conclude(store: Store) -> BatchResult:
     """Write the tables and the summary of what is done, and return it. Raises `OSError`."""
     noted = store.noted()
     with asked_of(store.folder) as ask:
         _write_tables(ask, store.folder, noted["command"])
-        summary = _summary(ask, store.folder, noted)
-    write_whole(store.folder / SUMMARY, to_text(summary))
-    return Outcome(summary, store.folder)
+        result = _result(ask, store.folder, noted)
+    write_whole(store.folder / SUMMARY, to_text(result.to_dict()))
+    return result
 
 
 Ask = Any
@@ -89,55 +121,43 @@ def _write_tables(ask: Ask, folder: Path, command: str) -> None:
         half.replace(folder / name)
 
 
-def _summary(ask: Ask, folder: Path, noted: Mapping[str, Any]) -> dict[str, Any]:
+def _result(ask: Ask, folder: Path, noted: Mapping[str, Any]) -> BatchResult:
     diagnosis = noted["command"] == DIAGNOSE
-    listed = f"{_literal(folder / RUNS)}"
-    return {
-        "command": noted["command"],
-        "over": noted["over"],
-        "asked": noted["differing"],
-        "program": noted["program"],
-        "begun": noted["begun"],
-        "runs": {
-            "listed": _number(ask, f"SELECT count(*) FROM read_parquet({listed})"),  # noqa: S608
-            **_counted(ask),
-        },
-        "verdicts": _verdicts(ask),
-        "names": _flag(ask, "names_differ") if diagnosis else None,
-        "fit": None if diagnosis else _flag(ask, "fit_differs"),
-        "change_in_u": None if diagnosis else _sizes(ask, "largest_change_in_u"),
-        "u_ratio": None if diagnosis else _ratio(ask),
-        "different": _different(ask, diagnosis=diagnosis),
-        "failed": _rows(
-            ask,
-            f"SELECT run, failed AS why FROM changes WHERE failed IS NOT NULL ORDER BY run LIMIT {LISTED}",  # noqa: S608
-        ),
-        "measured_with": _rows(
-            ask, "SELECT measured_with AS version, count(*) AS runs FROM changes GROUP BY 1 ORDER BY 1"
-        ),
-        "files": [f"{TABLE}.parquet", f"{TABLE}.csv", DIFFERENT, FAILED],
-    }
-
-
-def _counted(ask: Ask) -> dict[str, int]:
+    (listed,) = _rows(ask, f"SELECT count(*) AS listed FROM read_parquet({_literal(folder / RUNS)})")  # noqa: S608
     (found,) = _rows(
         ask,
         "SELECT count(*) AS done, count(failed) AS failed, count(*) FILTER (WHERE failed IS NULL) AS computed, "
         "count(*) FILTER (WHERE simulated) AS simulated, "
         "count(*) FILTER (WHERE failed IS NULL AND verdict_stored IS NULL) AS without_stored_verdict FROM changes",
     )
-    return {name: int(count) for name, count in found.items()}
-
-
-def _verdicts(ask: Ask) -> dict[str, Any]:
-    return {
-        **_flag(ask, "verdict_differs"),
-        "changes": _rows(
-            ask,
-            "SELECT verdict_stored AS stored, verdict AS now, simulated, count(*) AS runs FROM changes "
-            "WHERE verdict_differs GROUP BY 1, 2, 3 ORDER BY runs DESC, 1, 2, 3",
-        ),
-    }
+    runs = {**listed, **found}
+    changes = _rows(
+        ask,
+        "SELECT verdict_stored AS stored, verdict AS now, simulated, count(*) AS runs FROM changes "
+        "WHERE verdict_differs GROUP BY 1, 2, 3 ORDER BY runs DESC, 1, 2, 3",
+    )
+    failed = f"SELECT run, failed AS why FROM changes WHERE failed IS NOT NULL ORDER BY run LIMIT {LISTED}"  # noqa: S608
+    return BatchResult.model_validate(
+        {
+            "command": noted["command"],
+            "over": noted["over"],
+            "asked": noted["differing"],
+            "program": noted["program"],
+            "begun": noted["begun"],
+            "runs": runs,
+            "verdicts": {**_flag(ask, "verdict_differs"), "changes": changes},
+            "names": _flag(ask, "names_differ") if diagnosis else None,
+            "fit": None if diagnosis else _flag(ask, "fit_differs"),
+            "change_in_u": None if diagnosis else _sizes(ask, "largest_change_in_u"),
+            "u_ratio": None if diagnosis else _ratio(ask),
+            "different": _different(ask, diagnosis=diagnosis),
+            "failed": _rows(ask, failed),
+            "measured_with": _rows(
+                ask, "SELECT measured_with AS version, count(*) AS runs FROM changes GROUP BY 1 ORDER BY 1"
+            ),
+            "files": [f"{TABLE}.parquet", f"{TABLE}.csv", DIFFERENT, FAILED],
+        }
+    )
 
 
 def _flag(ask: Ask, name: str) -> dict[str, int]:
@@ -146,7 +166,7 @@ def _flag(ask: Ask, name: str) -> dict[str, int]:
         f"SELECT count(*) FILTER (WHERE {name}) AS different, count(*) FILTER (WHERE NOT {name}) AS same, "  # noqa: S608 - one of our own names
         f"count(*) FILTER (WHERE {name} IS NULL AND failed IS NULL) AS unknown FROM changes",
     )
-    return {key: int(count) for key, count in found.items()}
+    return found
 
 
 def _sizes(ask: Ask, name: str) -> dict[str, Any] | None:
@@ -175,10 +195,6 @@ def _different(ask: Ask, *, diagnosis: bool) -> list[dict[str, Any]]:
         "SELECT run, unit_type, serial, simulated, verdict_stored AS stored, verdict AS now, "  # noqa: S608
         f"{', '.join(own)} FROM changes WHERE {differs} ORDER BY run LIMIT {LISTED}",
     )
-
-
-def _number(ask: Ask, question: str) -> int:
-    return int(ask.execute(question).fetchone()[0])
 
 
 def _rows(ask: Ask, question: str) -> list[dict[str, Any]]:

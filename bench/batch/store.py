@@ -16,8 +16,16 @@ from filelock import FileLock, Timeout
 
 from bench.base.computing import tracked
 from bench.base.files import from_text, read_regular, to_text
-from bench.batch.job import COLUMNS, Job, Row, arrow_schema, program
-from bench.batch.stored import CALIBRATE_FILE, DIAGNOSE_FILE, VERIFY_FILE
+from bench.batch.job import (
+    CALIBRATE_FILE,
+    COLUMNS,
+    DIAGNOSE_FILE,
+    VERIFY_FILE,
+    Job,
+    Row,
+    arrow_schema,
+    program,
+)  # fmt: skip
 from bench.run.events import EVENTS, MANIFEST, sha256
 from bench.run.folder import BENCH, EFFECTS, IMPORTED, PLAN
 from bench.services.errors import Refused
@@ -127,7 +135,6 @@ FORMAT: Final = 1
 BATCH: Final = "batch.json"
 PARTS: Final = "parts"
 RUNS: Final = "runs.parquet"
-PAGES: Final = "pages"
 _LOCK: Final = ".lock"
 _HALF: Final = ".writing"
 _BEFORE: Final = {_LOCK, PARTS, BATCH + _HALF}
@@ -294,13 +301,9 @@ def _differences(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str)
 def _said(value: Any) -> str:
     if isinstance(value, Mapping):
         return f"{value['file']} (SHA-256 {value['sha256'][:12]}…)"
-    return (
-        {None: "not given", True: "on", False: "off"}.get(value, str(value)) if _plain(value) else str(value)
-    )
-
-
-def _plain(value: Any) -> bool:
-    return value is None or isinstance(value, bool)
+    if value is None:
+        return "not given"
+    return ("on" if value else "off") if isinstance(value, bool) else str(value)
 
 
 def _write_synced(file: Path, content: Any) -> None:

@@ -18,7 +18,7 @@ from bench.base.arrays import Floats
 from bench.base.files import read_json, read_regular
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistakes
-from bench.catalogue.schema import key_of
+from bench.catalogue.store import key_of
 from bench.certificate.register import Register
 from bench.config.bench_file.file import BenchFile, load_recorded_bench
 from bench.run.events import (

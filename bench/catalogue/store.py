@@ -1,30 +1,235 @@
-"""Where the catalogue is kept, SQLite or PostgreSQL, and its schema, brought to the present one by Alembic."""
+"""The catalogue's database, SQLite or PostgreSQL: where it is, its tables, and how an older one is made anew.
+
+What nobody recorded is NULL; times are UTC; sizes are SI with the unit in the name. A row's key comes from what the
+row describes (the hash of `run.json`, an instrument's identity …), so that any number of programs, in any order and
+in any database, write the same rows. Arrays are float64, little-endian, row by row.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sqlite3
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from importlib.resources import files
-from importlib.util import find_spec
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final
 
+from sqlalchemy import (
+    BigInteger,
+    Boolean,
+    Column,
+    Date,
+    DateTime,
+    Float,
+    ForeignKey,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    Table,
+    Text,
+    delete,
+    insert,
+    inspect,
+    select,
+)  # fmt: skip
+
 from bench.base.files import cache_folder
+from bench.run.events import MANIFEST
 from bench.services.errors import Refused
 
 if TYPE_CHECKING:
-    from sqlalchemy import Connection, Engine
+    from sqlalchemy import ColumnElement, Connection, Engine
+
+SCHEMA: Final = 4
+"""Number of the tables below: it rises with every change of them, and an older catalogue is then made anew."""
+
+METADATA: Final = MetaData()
+
+ABOUT: Final = Table("catalogue", METADATA, Column("schema", Integer, primary_key=True))
+"""The number of the schema."""
+
+FOLDERS: Final = Table(
+    "folders",
+    METADATA,
+    Column("path", Text, primary_key=True),
+    Column("fingerprint", Text, nullable=False),
+    Column("run", BigInteger, index=True),
+    Column("reason", Text),
+    Column("vanished", Boolean, nullable=False),
+)
+"""Every folder seen that is a run, or should be one: of which run, or why of none; `fingerprint` of its files."""
+
+RUNS: Final = Table(
+    "runs",
+    METADATA,
+    Column("id", BigInteger, primary_key=True, autoincrement=False),
+    Column("manifest_sha256", Text, nullable=False, unique=True),
+    Column("path", Text, nullable=False, index=True),
+    Column("vanished", Boolean, nullable=False),
+    Column("name", Text, nullable=False, index=True),
+    Column("created", DateTime, index=True),
+    Column("ended", DateTime),
+    Column("imported", Boolean, nullable=False),
+    Column("simulated", Boolean),
+    Column("state", Text, nullable=False),
+    Column("procedure", Text),
+    Column("plan_hash", Text),
+    Column("operator", Text),
+    Column("unit_type", Text),
+    Column("serial", Text, index=True),
+    Column("unit", Text),
+    Column("bench", Text),
+    Column("bench_sha256", Text),
+    Column("temperature_c", Float),
+    Column("readings", Integer, nullable=False),
+    Column("program_version", Text),
+    Column("head", Text),
+    Column("events", Integer, nullable=False),
+    Column("record", Text, nullable=False),
+    Column("problem", Text),
+)
+"""Runs: `record` is what the chain of hashes proves (`bench.catalogue.folder`), `problem` what is wrong."""
+
+INSTRUMENTS: Final = Table(
+    "instruments",
+    METADATA,
+    Column("id", BigInteger, primary_key=True, autoincrement=False),
+    Column("name", Text, nullable=False, index=True),
+    Column("driver", Text),
+    Column("serial", Text, index=True),
+)
+"""Instruments: `name` is maker, model and serial number where that is known, else what answered, and where."""
+
+CERTIFICATES: Final = Table(
+    "certificates",
+    METADATA,
+    Column("id", BigInteger, primary_key=True, autoincrement=False),
+    Column("number", Text, nullable=False, index=True),
+    Column("laboratory", Text, nullable=False),
+    Column("date", Date, nullable=False),
+    Column("valid_until", Date),
+    Column("serial", Text),
+)
+"""Certificates of instruments, as bench files state them."""
+
+USES: Final = Table(
+    "uses",
+    METADATA,
+    Column("run", BigInteger, ForeignKey("runs.id", ondelete="CASCADE"), primary_key=True),
+    Column("role", Text, primary_key=True),
+    Column("instrument", BigInteger, nullable=False, index=True),
+    Column("certificate", BigInteger, index=True),
+    Column("answered", Text),
+    Column("resource", Text),
+)
+"""Which run used which instrument as what (`voltmeter.x`, `head` …), under which certificate; what it answered."""
+
+CALIBRATIONS: Final = Table(
+    "calibrations",
+    METADATA,
+    Column("run", BigInteger, ForeignKey("runs.id", ondelete="CASCADE"), primary_key=True),
+    Column("of_record", Boolean),
+    Column("estimator", Text),
+    Column("model", Text),
+    Column("unit", Text, nullable=False),
+    Column("g_m_s2", Float, nullable=False),
+    Column("vector", LargeBinary, nullable=False),
+    Column("covariance", LargeBinary, nullable=False),
+    Column("u_meters", LargeBinary),
+    Column("sigma", Float),
+    Column("chi2", Float),
+    Column("dof", Float),
+    Column("p", Float),
+    Column("used", Integer),
+)
+"""Results of `calibrate.json`: `vector` (12,) in `unit`/g, `covariance` (12, 12); `u_meters` (12,) is the part of u
+that the same meters bring again. `of_record`: whether it names the head that the record has now, NULL if none."""
+
+VERIFICATIONS: Final = Table(
+    "verifications",
+    METADATA,
+    Column("run", BigInteger, ForeignKey("runs.id", ondelete="CASCADE"), primary_key=True),
+    Column("verdict", Text, nullable=False),
+    Column("limit_g", Float),
+    Column("rule", Text),
+    Column("worst_delta_g", Float),
+    Column("missing", Integer),
+)
+"""Verdicts of `verify.json`; of all points the largest Δg, in local g, with its sign."""
+
+POINTS: Final = Table(
+    "points",
+    METADATA,
+    Column("run", BigInteger, ForeignKey("runs.id", ondelete="CASCADE"), primary_key=True),
+    Column("place", Integer, primary_key=True),
+    Column("angle_deg", Float),
+    Column("delta_g", Float, nullable=False),
+    Column("u", Float),
+    Column("verdict", Text, nullable=False),
+)
+"""Verification points: Δg with its standard uncertainty, in local g."""
+
+DIAGNOSES: Final = Table(
+    "diagnoses",
+    METADATA,
+    Column("run", BigInteger, ForeignKey("runs.id", ondelete="CASCADE"), primary_key=True),
+    Column("verdict", Text, nullable=False, index=True),
+    Column("names", Text, nullable=False),
+)
+"""Diagnoses of `diagnose.json`; the effects named, joined by ", "."""
+
+ISSUED: Final = Table(
+    "issued",
+    METADATA,
+    Column("id", BigInteger, primary_key=True, autoincrement=False),
+    Column("register", Text, nullable=False, index=True),
+    Column("number", Text, nullable=False, index=True),
+    Column("time", DateTime),
+    Column("state", Text, nullable=False),
+    Column("by", Text),
+    Column("run", Text),
+    Column("head", Text, index=True),
+)
+"""Certificates that this laboratory issued, as its registers tell: of which run, by name and head of its record."""
+
+DUES: Final = Table(
+    "dues",
+    METADATA,
+    Column("unit", Text, primary_key=True),
+    Column("asked", Text, primary_key=True),
+    Column("told", Text, nullable=False),
+)
+"""When units are due, as it was reckoned for a limit and an interval (`bench.catalogue.unit`), in JSON."""
+
+OF_A_RUN: Final = (USES, CALIBRATIONS, VERIFICATIONS, POINTS, DIAGNOSES)
+"""Tables whose rows belong to a run, and are made anew when it is read again."""
+
+Index("ix_runs_unit_created", RUNS.c.unit, RUNS.c.created)
+# what counts runs reads these alone
+Index("ix_runs_of_units", RUNS.c.unit, RUNS.c.bench, RUNS.c.created, RUNS.c.simulated, RUNS.c.id)
+Index("ix_runs_of_benches", RUNS.c.bench, RUNS.c.unit, RUNS.c.created, RUNS.c.simulated, RUNS.c.id)
+Index("ix_runs_of_operators", RUNS.c.operator, RUNS.c.unit, RUNS.c.created, RUNS.c.simulated, RUNS.c.id)
+Index("ix_verifications_verdict_run", VERIFICATIONS.c.verdict, VERIFICATIONS.c.run)
+
+
+def key_of(*words: str) -> int:
+    """Return the key, 63 bits, of what such words name."""
+    digest = hashlib.sha256("\x1f".join(words).encode("utf-8", "surrogatepass")).digest()
+    return int.from_bytes(digest[:8], "big") >> 1
+
+
+# --- the database -------------------------------------------------------------------------------------
+
+REGISTER: Final = "register.jsonl"
+"""The register of a folder of issued certificates."""
 
 VARIABLE: Final = "TRIAXIAL_BENCH_CATALOGUE"
 FILE: Final = "catalogue.sqlite"
-SCHEMA: Final = "0003"
-"""The newest revision of `bench/catalogue/migrations`."""
-
 BUSY_MS: Final = 120_000
 """How long another program's turn is waited for."""
 
@@ -35,10 +240,14 @@ _WRITES: Final = "writes"
 
 @dataclass(frozen=True)
 class Catalogue:
-    """A catalogue that is open. `where` names it, without a password; `engine` speaks to the database."""
+    """An open catalogue. `where` names it, without a password; `engine` speaks to the database.
+
+    `renewed` says so where an older catalogue was made anew.
+    """
 
     engine: Engine
     where: str
+    renewed: str = ""
 
     @property
     def is_file(self) -> bool:
@@ -48,14 +257,14 @@ class Catalogue:
     @contextmanager
     def reading(self) -> Iterator[Connection]:
         """Give a connection that sees one state of the catalogue. Raises `Refused` where the database fails."""
-        with _told(self.where), self.engine.connect() as connection:
+        with _refusing(self.where), self.engine.connect() as connection:
             yield connection
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
         """Give a connection of which all is written at the end, or nothing. One program at a time has it."""
         writer = self.engine.execution_options(**{_WRITES: True})
-        with _told(self.where), writer.begin() as connection:
+        with _refusing(self.where), writer.begin() as connection:
             if not self.is_file:
                 connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({_TURN})")
             yield connection
@@ -73,31 +282,30 @@ class Catalogue:
         self.close()
 
 
-def open_catalogue(where: str | Path | None = None, *, existing: bool = False) -> Catalogue:
-    """Open a catalogue, a file or the URL of a database, and bring its schema to the present.
+def open_catalogue(
+    where: str | Path | None = None, *, existing: bool = False, renew: bool = False
+) -> Catalogue:
+    """Open a catalogue, a file or the URL of a database.
 
-    None takes what TRIAXIAL_BENCH_CATALOGUE names, or `catalogue.sqlite` in the user's cache folder. One that is
-    not there is made, unless it has to be `existing`. Raises `Refused` with why and what to do.
+    None is the one that TRIAXIAL_BENCH_CATALOGUE names, or `catalogue.sqlite` in the user's cache folder. A missing
+    one is made, unless it must be `existing`; one with older tables is made anew where `renew` says so, for
+    `bench.catalogue.sync` to fill. Raises `Refused` with the reason and the remedy.
     """
     named = str(where or os.environ.get(VARIABLE) or cache_folder(FILE))
     import sqlalchemy
 
-    # it takes half as long to load as an answer may take, and is needed where the schema is not the present one
-    if find_spec("alembic") is None:
-        raise ModuleNotFoundError(name="alembic")
     url = _url(named)
-    told = url.render_as_string(hide_password=True) if url.get_backend_name() != "sqlite" else named
-    if url.get_backend_name() == "sqlite":
+    in_file = url.get_backend_name() == "sqlite"
+    if in_file:
         _prepare_file(Path(url.database or ""), existing=existing)
     engine = sqlalchemy.create_engine(url, connect_args=_connect_args(url.get_backend_name()))
     _listen(engine)
-    catalogue = Catalogue(engine, told)
+    catalogue = Catalogue(engine, named if in_file else url.render_as_string(hide_password=True))
     try:
-        _upgrade(catalogue)
+        return _with_tables(catalogue, renew=renew)
     except BaseException:
         catalogue.close()
         raise
-    return catalogue
 
 
 def _url(named: str) -> Any:
@@ -183,49 +391,89 @@ def _take_up_wal(connection: Any) -> None:
             return
 
 
-def _upgrade(catalogue: Catalogue) -> None:
-    """Bring the schema to the present one; one program at a time does."""
+def _with_tables(catalogue: Catalogue, *, renew: bool) -> Catalogue:
+    """Return a catalogue whose tables are those of this program; one program at a time makes them."""
     with catalogue.reading() as connection:
-        if _revision(connection) == SCHEMA:
-            return
-    from alembic import command
-    from alembic.config import Config
-    from alembic.util import CommandError
-
-    config = Config()
-    config.set_main_option("script_location", str(files("bench.catalogue") / "migrations").replace("%", "%%"))
+        if _schema_of(connection) == SCHEMA:
+            return catalogue
     with catalogue.writing() as connection:
-        found = _revision(connection)
-        if found == SCHEMA:
-            return
-        if found is None and _tables(connection):
-            raise Refused(f"{catalogue.where}: a database with other tables; name another for the catalogue")
-        config.attributes["connection"] = connection
-        try:
-            command.upgrade(config, "head")
-        except CommandError as error:
+        found = _schema_of(connection)
+        if found is None:
+            if inspect(connection).get_table_names():
+                raise Refused(
+                    f"{catalogue.where}: a database with other tables; name another for the catalogue"
+                )
+            _make_tables(connection)
+        elif found > SCHEMA:
             raise Refused(
                 f"{catalogue.where}: made by a newer version of this program (schema {found}); use that, or delete "
                 "the catalogue and make it again with: bench catalogue sync DIR"
-            ) from error
+            )
+        elif found < SCHEMA:
+            if not renew:
+                raise Refused(
+                    f"{catalogue.where}: made by an older version of this program; make it anew from its runs "
+                    "with: bench catalogue sync DIR"
+                )
+            return replace(catalogue, renewed=_renew(connection))
+    return catalogue
 
 
-def _revision(connection: Connection) -> str | None:
-    """Return the revision of the schema that a database has, None where it has none."""
-    if "alembic_version" not in _tables(connection):
-        return None
-    found = connection.exec_driver_sql("SELECT version_num FROM alembic_version").scalar()
-    return None if found is None else str(found)
+def _schema_of(connection: Connection) -> int | None:
+    """Return the number of the schema; 0 for tables of a catalogue without a number, None for no catalogue."""
+    there = set(inspect(connection).get_table_names())
+    if ABOUT.name in there:
+        return int(connection.execute(select(ABOUT.c.schema)).scalar_one())
+    return 0 if {FOLDERS.name, RUNS.name} <= there else None
 
 
-def _tables(connection: Connection) -> list[str]:
-    from sqlalchemy import inspect
+def _make_tables(connection: Connection) -> None:
+    METADATA.create_all(connection)
+    connection.execute(insert(ABOUT).values(schema=SCHEMA))
 
-    return inspect(connection).get_table_names()
+
+def _renew(connection: Connection) -> str:
+    """Replace the tables of an older catalogue by those of today, for a sync to fill; say so in a sentence.
+
+    Of runs that can be read again only the folders are kept, so that a sync finds them. Runs and registers whose
+    folders are gone keep their rows, as far as the new tables have columns for them.
+    """
+    before = MetaData()
+    before.reflect(connection, only=lambda name, _: name in {*METADATA.tables, "alembic_version"})
+    was = before.tables[FOLDERS.name]
+    folders = connection.execute(select(was.c.path, was.c.run)).all()
+    there = {run for path, run in folders if Path(path, MANIFEST).exists()}
+    is_kept: dict[Table, Callable[[Any], bool]] = {
+        RUNS: lambda row: row["id"] not in there,
+        **dict.fromkeys(OF_A_RUN, lambda row: row["run"] not in there),
+        **dict.fromkeys((FOLDERS, INSTRUMENTS, CERTIFICATES), lambda row: True),
+        ISSUED: lambda row: not Path(row["register"], REGISTER).exists(),
+    }
+    rows: dict[Table, list[dict[str, Any]]] = {}
+    for table, kept in is_kept.items():
+        if table.name in before.tables:
+            found = connection.execute(select(before.tables[table.name])).mappings()
+            rows[table] = [dict(row) for row in found if kept(row)]
+    before.drop_all(connection)
+    _make_tables(connection)
+    for table in (one for one in METADATA.sorted_tables if one in rows):
+        needed = {column.name for column in table.columns if not column.nullable}
+        for row in (one for one in rows[table] if needed <= one.keys()):
+            known = {name: value for name, value in row.items() if name in table.columns}
+            connection.execute(insert(table).values(known))
+    lost = len(rows[RUNS])
+    gone = f"; {lost} runs whose folders are gone are kept as they were" if lost else ""
+    return f"made by an older version of this program: made anew from its {len(there)} runs{gone}"
+
+
+def forget_dues(connection: Connection, changed: ColumnElement[bool]) -> None:
+    """Forget when units are due whose runs change; `changed` is a condition on runs."""
+    units = select(RUNS.c.unit).where(changed)
+    connection.execute(delete(DUES).where(DUES.c.unit.in_(units)))
 
 
 @contextmanager
-def _told(where: str) -> Iterator[None]:
+def _refusing(where: str) -> Iterator[None]:
     """Say in a sentence what a database refused."""
     from sqlalchemy.exc import DBAPIError, OperationalError
 

@@ -8,13 +8,18 @@ moved or renamed brings the same run, a copy beside it is told and counts once.
 
 from __future__ import annotations
 
+import hashlib
+import multiprocessing
 import os
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -23,11 +28,20 @@ from sqlalchemy import delete, select, update
 from bench.base.computing import tracked
 from bench.base.text import visible
 from bench.catalogue.folder import Found, Row, issued_in, read_folder
-from bench.catalogue.scan import Place, Seen, pool_of, scan, scan_all
-from bench.catalogue.schema import CERTIFICATES, FOLDERS, INSTRUMENTS, ISSUED, OF_A_RUN, RUNS
-from bench.catalogue.store import Catalogue
-from bench.catalogue.unit import forget_dues
-from bench.run.events import MANIFEST
+from bench.catalogue.store import (
+    CERTIFICATES,
+    FOLDERS,
+    INSTRUMENTS,
+    ISSUED,
+    OF_A_RUN,
+    REGISTER,
+    RUNS,
+    Catalogue,
+    forget_dues,
+)  # fmt: skip
+from bench.results.catalogue import FolderProblem, SyncResult
+from bench.run.events import EVENTS, MANIFEST
+from bench.run.folder import PLAN
 from bench.services.errors import Refused
 
 if TYPE_CHECKING:
@@ -65,12 +79,10 @@ class Synced:
     vanished: int = 0
     problems: dict[str, str] = field(default_factory=dict)
 
-    def to_json(self) -> dict[str, Any]:
-        """Return it as `bench catalogue sync --json` writes it."""
-        counts = {
-            name: getattr(self, name) for name in ("added", "changed", "unchanged", "moved", "vanished")
-        }
-        return {**counts, "problems": [{"path": p, "reason": r} for p, r in sorted(self.problems.items())]}
+    def result(self, catalogue: str) -> SyncResult:
+        """Return it as the result of a sync of `catalogue`."""
+        told = [FolderProblem(path=path, reason=why) for path, why in sorted(self.problems.items())]
+        return SyncResult(**{**vars(self), "catalogue": catalogue, "problems": told})
 
 
 def sync(
@@ -83,10 +95,12 @@ def sync(
     """
     roots = _roots(folders)
     count = os.cpu_count() or 1 if processes is None else processes
-    seen = _seen(roots, count)
+    with catalogue.reading() as connection:
+        unread = _unread(connection)
+    seen = _seen([*roots, *unread], count)
     done = Synced()
     with catalogue.reading() as connection:
-        known = _known(connection, roots)
+        known = _known(connection, roots, unread)
         proved = _proved(connection) if whole else None
     waiting, back = [], []
     for path, mark in sorted(seen.runs.items()):
@@ -182,12 +196,23 @@ def _is_text(path: str) -> bool:
     return True
 
 
-def _known(connection: Connection, roots: Sequence[str]) -> dict[str, Row]:
-    """Return what the catalogue has of the folders below `roots`, by path."""
+def _unread(connection: Connection) -> set[str]:
+    """Return the folders of runs that were lost with an older catalogue and can be read again."""
+    missing = FOLDERS.c.run.is_not(None) & FOLDERS.c.run.not_in(select(RUNS.c.id))
+    paths = connection.execute(select(FOLDERS.c.path).where(missing)).scalars()
+    return {path for path in paths if Path(path, MANIFEST).exists()}
+
+
+def _known(connection: Connection, roots: Sequence[str], unread: set[str]) -> dict[str, Row]:
+    """Return what the catalogue has of the folders below `roots` and of those in `unread`, by path."""
     heads = tuple(root.rstrip(os.sep) + os.sep for root in roots)
     names = FOLDERS.columns.keys()
     rows = (dict(zip(names, row, strict=True)) for row in connection.execute(select(FOLDERS)))
-    return {r["path"]: r for r in rows if r["path"].startswith(heads) or r["path"] in roots}
+    wanted = {*roots, *unread}
+    found = {r["path"]: r for r in rows if r["path"].startswith(heads) or r["path"] in wanted}
+    for path in unread & found.keys():
+        found[path]["fingerprint"] = ""
+    return found
 
 
 def _proved(connection: Connection) -> set[int]:
@@ -238,7 +263,7 @@ def _write(connection: Connection, batch: list[Found], known: dict[str, Row], do
                 if elsewhere != found.path:
                     left.append(elsewhere)
                     done.moved += 1
-                elif before is None and found.run not in places:
+                elif found.run not in places and (before is None or before["run"] is not None):
                     done.added += 1
                 else:
                     done.changed += 1
@@ -350,3 +375,114 @@ def _mark_vanished(connection: Connection, rows: list[Row]) -> int:
             connection.execute(update(RUNS).where(RUNS.c.path == row["path"]).values(vanished=True))
             count += 1
     return count
+
+
+# --- folders that are runs ------------------------------------------------------------------------------
+
+MOST_DEEP: Final = 12
+SETTLED_NS: Final = 2_000_000_000
+"""Files changed less than this ago may change once more without their times showing it: they are read again."""
+_READ: Final = (".json", ".jsonl", ".yaml", ".csv")
+"""Endings of what a catalogue reads in a run folder."""
+_NAME: Final = attrgetter("name")
+Place = tuple[str, int]
+"""A folder that waits to be looked into, and how deep it is."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a walk found: run folders with the fingerprints of their files, folders that should be runs with why
+    they are none, registers, and folders that cannot be entered, with why."""
+
+    runs: dict[str, str] = field(default_factory=dict)
+    odd: dict[str, str] = field(default_factory=dict)
+    registers: list[str] = field(default_factory=list)
+
+    def take(self, other: Seen) -> None:
+        """Add what another walk found."""
+        self.runs.update(other.runs)
+        self.odd.update(other.odd)
+        self.registers.extend(other.registers)
+
+
+def scan(root: str, now_ns: int, most: int | None = None) -> tuple[Seen, list[Place]]:
+    """Walk a folder, which is a run folder itself or holds them at any depth; links below it are not followed.
+
+    A run folder is not entered further, nor is a hidden one. Where more than `most` folders wait the walk ends, and
+    they are returned beside what was seen: `scan_all` goes on with them, in any process. Raises `OSError` where
+    `root` cannot be read.
+    """
+    seen = Seen()
+    with os.scandir(root):
+        pass
+    return seen, _walk(seen, [(root, 0)], now_ns, most)
+
+
+def scan_all(places: Iterable[Place], now_ns: int) -> Seen:
+    """Walk folders with all that is below them."""
+    seen = Seen()
+    _walk(seen, places, now_ns, None)
+    return seen
+
+
+def _walk(seen: Seen, places: Iterable[Place], now_ns: int, most: int | None) -> list[Place]:
+    waiting = deque(places)
+    while waiting and (most is None or len(waiting) <= most):
+        path, depth = waiting.popleft()
+        try:
+            with os.scandir(path) as entries:
+                found = list(entries)
+        except OSError as error:
+            seen.odd[path] = f"cannot be read ({error.strerror})"
+            continue
+        names = {entry.name for entry in found}
+        if MANIFEST in names:
+            seen.runs[path] = fingerprint(found, now_ns)
+            continue
+        if EVENTS in names or PLAN in names:
+            seen.odd[path] = f"a run without {MANIFEST}: half copied, or half removed"
+            continue
+        if REGISTER in names:
+            seen.registers.append(path)
+        if depth < MOST_DEEP:
+            waiting += [(entry.path, depth + 1) for entry in _folders(found)]
+    return list(waiting)
+
+
+def _folders(entries: list[os.DirEntry[str]]) -> Iterator[os.DirEntry[str]]:
+    for entry in entries:
+        if not entry.name.startswith(".") and entry.is_dir(follow_symlinks=False):
+            yield entry
+
+
+def fingerprint(entries: list[os.DirEntry[str]], now_ns: int) -> str:
+    """Return a hash of names, sizes and times of the files of a run; empty where they may yet change unseen."""
+    parts, newest = [], 0
+    for entry in sorted(entries, key=_NAME):
+        name = entry.name
+        if not name.endswith(_READ):
+            continue
+        try:
+            stat = entry.stat()
+        except OSError:
+            parts.append(name)
+            continue
+        changed, made = stat.st_mtime_ns, stat.st_ctime_ns
+        parts.append(f"{name}/{stat.st_size}/{changed}/{made}")
+        newest = max(newest, changed, made)
+    if now_ns - newest < SETTLED_NS:
+        return ""
+    told = "//".join(parts).encode("utf-8", "surrogateescape")
+    return hashlib.blake2b(told, digest_size=16).hexdigest()
+
+
+@contextmanager
+def pool_of(processes: int, when_ended: str) -> Iterator[ProcessPoolExecutor]:
+    """Give processes. Raises `Refused` with the words `when_ended` where one of them was ended from outside."""
+    pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        yield pool
+    except BrokenProcessPool as error:
+        raise Refused(when_ended) from error
+    finally:
+        pool.shutdown(cancel_futures=True)

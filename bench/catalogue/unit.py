@@ -8,7 +8,7 @@ import os
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -18,22 +18,22 @@ from bench.base.arrays import Mask, u_of
 from bench.base.computing import tracked
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
-from bench.catalogue.answers import Answer, answer
-from bench.catalogue.questions import condition_of
-from bench.catalogue.scan import pool_of
-from bench.catalogue.schema import DUES, FOLDERS, RUNS, VERIFICATIONS
-from bench.catalogue.store import Catalogue, open_catalogue
+from bench.catalogue.questions import answer, condition_of, moment
+from bench.catalogue.store import DUES, FOLDERS, RUNS, VERIFICATIONS, Catalogue, open_catalogue
+from bench.catalogue.sync import pool_of
 from bench.catalogue.values import CoefficientTable, coefficient_table
 from bench.history.drift import Due, due
 from bench.model.geometry import COEFFICIENTS
+from bench.results.catalogue import CoefficientThen, DueResult, UnitCalibration, UnitDue, UnitResult, due_part
 from bench.services.errors import Refused
 
 if TYPE_CHECKING:
-    from sqlalchemy import ColumnElement, Connection
+    from sqlalchemy import Connection
 
 
 INTERVAL_DAYS: Final = 365.0
 """The interval that counts where there is no history, unless another is stated."""
+MOST_DAYS: Final = 36_525
 METHOD: Final = 1
 """Of the reckoning by drift: it rises where dates would be others, and what was kept goes."""
 KEPT_AT_ONCE: Final = 20
@@ -52,14 +52,16 @@ def due_units(
     *,
     limit_g: float | None = None,
     interval_days: float | None = None,
+    before: str | None = None,
     processes: int | None = None,
-) -> tuple[list[dict[str, Any]], dict[str, str]]:
-    """Return when the units of a question are due, as JSON has it, the first first; and why of others nobody knows.
+) -> DueResult:
+    """Return when the units of a question are due, the first first, and of which units it is not known.
 
-    `limit_g` is the error allowed, by default the limit of each unit's last verification. Of many units `processes`
-    reckon, as many as there are cores unless stated. Raises `Refused` for a question that is none.
+    `limit_g` is the error allowed, by default the limit of each unit's last verification; `before` a day (ISO 8601)
+    before which they are due. Of many units `processes` reckon, as many as there are cores unless stated. Raises
+    `Refused` for a question that is none.
     """
-    interval = interval_days or INTERVAL_DAYS
+    interval = _checked(limit_g, interval_days)
     asked = f"method {METHOD}, limit {limit_g!r}, interval {interval!r}"
     of_question = select(RUNS.c.unit).distinct().where(condition_of(query), RUNS.c.unit.is_not(None))
     with catalogue.reading() as connection:
@@ -71,15 +73,31 @@ def due_units(
     for some in _reckoned(catalogue, lacking, limit_g, interval, count):
         told |= {name: found for name, found, _ in some}
         _keep(catalogue, some, asked)
-    rows = [{"unit": name, **told[name]["due"]} for name in names if told[name]["due"] is not None]
-    odd = {name: told[name]["why_not"] for name in names if told[name]["due"] is None}
-    return sorted(rows, key=lambda row: (row["due"], row["unit"])), odd
+    units = [UnitDue(unit=name, **told[name]["due"]) for name in names if told[name]["due"] is not None]
+    asked_for = [one for one in units if before is None or one.due < before]
+    return DueResult(
+        query=list(query),
+        units=sorted(asked_for, key=lambda one: (one.due, one.unit)),
+        not_known={name: told[name]["why_not"] for name in names if told[name]["due"] is None},
+    )
 
 
-def forget_dues(connection: Connection, changed: ColumnElement[bool]) -> None:
-    """Forget when units are due of which runs change; `changed` is a condition on runs."""
-    units = select(RUNS.c.unit).where(changed)
-    connection.execute(delete(DUES).where(DUES.c.unit.in_(units)))
+def until_day(before: str | None) -> str | None:
+    """Return the day (UTC) of a time. Raises `Refused` for a text that is none."""
+    try:
+        return moment(before).date().isoformat() if before else None
+    except ValueError as error:
+        raise Refused(f"--before {before}: {error}") from None
+
+
+def _checked(limit_g: float | None, interval_days: float | None) -> float:
+    """Return the interval in days. Raises `Refused` for a limit or an interval that is none."""
+    for option, value in (("--limit", limit_g), ("--interval", interval_days)):
+        if value is not None and not value > 0.0:
+            raise Refused(f"{option} {value:g}: expected a number above zero")
+    if interval_days is not None and interval_days > MOST_DAYS:
+        raise Refused(f"--interval {interval_days:g}: expected at most {MOST_DAYS} days")
+    return interval_days or INTERVAL_DAYS
 
 
 def _reckoned(
@@ -107,8 +125,6 @@ def _reckon_apart(where: str, names: Sequence[str], limit_g: float | None, inter
 def _reckon(
     catalogue: Catalogue, names: Sequence[str], limit_g: float | None, interval_days: float
 ) -> Reckoned:
-    # what reckons takes longer to load than what was kept takes to read
-
     found = []
     for name in names:
         with catalogue.reading() as connection:
@@ -116,7 +132,8 @@ def _reckon(
         table, simulated, _ = compared_of(catalogue, name)
         limit = limit_g if limit_g is not None else limit_of(catalogue, [f"unit={name}"])
         due, why_not = due_of(table, limit, interval_days, simulated=simulated)
-        found.append((name, {"due": due and due.to_json(), "why_not": why_not}, mark))
+        part = None if due is None else due_part(due).to_dict()
+        found.append((name, {"due": part, "why_not": why_not}, mark))
     return found
 
 
@@ -132,7 +149,7 @@ def _keep(catalogue: Catalogue, found: Reckoned, asked: str) -> None:
 def _mark(connection: Connection, name: str) -> str:
     """Return a mark of the runs of a unit as they are known; empty where one was written a moment ago.
 
-    Its files may then change once more without their times showing it (`bench.catalogue.scan.SETTLED_NS`).
+    Its files may then change once more without their times showing it (`bench.catalogue.sync.SETTLED_NS`).
     """
     asked = (
         select(FOLDERS.c.path, FOLDERS.c.fingerprint, FOLDERS.c.reason, RUNS.c.vanished, RUNS.c.record)
@@ -149,78 +166,52 @@ def _mark(connection: Connection, name: str) -> str:
 MOST_NAMED: Final = 8
 
 
-@dataclass(frozen=True)
-class UnitHistory:
-    """A unit: its `runs`, the calibrations that are compared (`table`, per one g), when it is `due` or why not.
-
-    `simulated` says that they are of simulated runs, of which there are none where there is a real one. `notes` are
-    what a reader should know, a sentence each.
-    """
-
-    unit: str
-    runs: Answer
-    table: CoefficientTable
-    simulated: bool
-    due: Due | None
-    why_not_due: str
-    notes: tuple[str, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return it as `bench catalogue unit --json` writes it."""
-        return {
-            "unit": self.unit,
-            "simulated": self.simulated,
-            "due": None if self.due is None else self.due.to_json(),
-            "why_not_due": self.why_not_due,
-            "calibrations": in_json(self.table),
-            "runs": self.runs.to_json(),
-            "notes": list(self.notes),
-        }
-
-
-def in_json(table: CoefficientTable) -> list[dict[str, Any]]:
-    """Return calibrations as `bench catalogue unit --json` writes them."""
-    return [_calibration(table, k) for k in range(len(table))]
-
-
-def _calibration(table: CoefficientTable, k: int) -> dict[str, Any]:
-    sizes = u_of(table.covariance[k])
-    return {
-        "path": table.path[k],
-        "created": f"{table.when[k].astype('datetime64[s]')}+00:00",
-        "bench": table.bench[k],
-        "unit": table.signal_unit[k],
-        "g_m_s2": float(table.g_m_s2[k]),
-        "coefficients": {
-            name: {"value": float(value), "u": float(u), "U": float(COVERAGE_FACTOR * u)}
-            for name, value, u in zip(COEFFICIENTS, table.vector[k], sizes, strict=True)
-        },
-    }
-
-
 def unit_history(
     catalogue: Catalogue, unit: str, *, limit_g: float | None = None, interval_days: float | None = None
-) -> UnitHistory:
+) -> UnitResult:
     """Return what is known of a unit, named by its serial number or by type and serial number.
 
     `limit_g` is the error allowed, by default the limit of its last verification. Raises `Refused` where none, or
     several, are of that name.
     """
+    interval = _checked(limit_g, interval_days)
     name = _name_of(catalogue, unit)
     table, simulated, notes = compared_of(catalogue, name)
     query = [f"unit={name}"]
     limit = limit_g if limit_g is not None else limit_of(catalogue, query)
-    found, why_not = due_of(table, limit, interval_days or INTERVAL_DAYS, simulated=simulated)
-    runs = answer(catalogue, query)
-    return UnitHistory(name, runs, table, simulated, found, why_not, tuple(notes))
+    found, why_not = due_of(table, limit, interval, simulated=simulated)
+    return UnitResult(
+        unit=name,
+        simulated=simulated,
+        due=None if found is None else due_part(found),
+        why_not_due=why_not,
+        calibrations=[_calibration(table, k) for k in range(len(table))],
+        runs=answer(catalogue, query).mappings(),
+        notes=notes,
+    )
 
 
-def unit_calibrations(catalogue: Catalogue, unit: str) -> CoefficientTable:
+def _calibration(table: CoefficientTable, k: int) -> UnitCalibration:
+    sizes = zip(COEFFICIENTS, table.vector[k].tolist(), u_of(table.covariance[k]).tolist(), strict=True)
+    return UnitCalibration(
+        path=table.path[k],
+        created=f"{table.when[k].astype('datetime64[s]')}+00:00",
+        bench=table.bench[k],
+        unit=table.signal_unit[k],
+        g_m_s2=table.g_m_s2[k],
+        coefficients={
+            name: CoefficientThen(value=value, u=u, U=COVERAGE_FACTOR * u) for name, value, u in sizes
+        },
+    )
+
+
+def unit_calibrations(catalogue: Catalogue, unit: str) -> list[UnitCalibration]:
     """Return the calibrations of a unit that are compared, as in its history: what its figure needs.
 
     Raises `Refused` where none, or several, are of that name.
     """
-    return compared_of(catalogue, _name_of(catalogue, unit))[0]
+    table, _, _ = compared_of(catalogue, _name_of(catalogue, unit))
+    return [_calibration(table, k) for k in range(len(table))]
 
 
 def compared_of(catalogue: Catalogue, name: str) -> tuple[CoefficientTable, bool, list[str]]:

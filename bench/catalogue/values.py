@@ -14,8 +14,7 @@ from sqlalchemy import and_, func, select
 from bench.base.arrays import Floats, Mask, u_of
 from bench.calibration.result import CalibrationError
 from bench.catalogue.questions import condition_of
-from bench.catalogue.schema import CALIBRATIONS, RUNS
-from bench.catalogue.store import Catalogue
+from bench.catalogue.store import CALIBRATIONS, RUNS, Catalogue
 from bench.history.comparison import Joint, Snapshot, joint_covariances, joint_of
 from bench.history.equivalence import (
     STANDARD_GRAVITY,

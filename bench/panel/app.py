@@ -87,10 +87,10 @@ LATE: Final = (
     "bench.results.control_chart",
 )
 LATE_OF_CATALOGUE: Final = (
-    "bench.catalogue.answers",
+    "bench.catalogue.questions",
     "bench.catalogue.store",
     "bench.catalogue.unit",
-    "bench.results.unit",
+    "bench.results.catalogue",
 )
 """What pages import when they are first asked for: a second's work, which a program that only asks is spared."""
 

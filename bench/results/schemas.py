@@ -10,6 +10,11 @@ from bench.base.result_model import ResultModel
 RESULTS: Final = {
     "budget": "budget.BudgetResult",
     "check": "check.CheckResult",
+    "batch": "batch.BatchResult",
+    "catalogue-ask": "catalogue.AskResult",
+    "catalogue-due": "catalogue.DueResult",
+    "catalogue-sync": "catalogue.SyncResult",
+    "catalogue-unit": "catalogue.UnitResult",
     "confirm": "confirm.ConfirmResult",
     "plan-points": "planning.PlanPointsResult",
     "require": "planning.RequireResult",

@@ -5,10 +5,10 @@ import signal
 
 import pytest
 
-from bench.batch import cluster
-from bench.batch.cluster import by_scheduler, of_program
+from bench.batch import processes
 from bench.batch.job import CALIBRATE, Job, program
 from bench.batch.outcome import asked_of, conclude
+from bench.batch.processes import by_scheduler, of_program
 from bench.batch.store import Course, Store
 from bench.batch.work import worked
 from bench.services.errors import Refused
@@ -45,8 +45,8 @@ def test_a_worker_killed_in_the_middle_loses_and_repeats_nothing(workers, tmp_pa
         Course(store, job.command).carry_out(left, computed)
         outcome = conclude(store)
     assert len(killed) == 1
-    assert outcome.summary["runs"]["computed"] == len(runs)
-    assert outcome.summary["verdicts"]["same"] == len(runs)
+    assert outcome.runs.computed == len(runs)
+    assert outcome.verdicts.same == len(runs)
     with asked_of(tmp_path / "out") as ask:
         counted = dict(ask.execute("SELECT run, count(*) FROM changes GROUP BY run").fetchall())
         ((found,),) = ask.execute("SELECT Kxx FROM changes LIMIT 1").fetchall()
@@ -55,13 +55,13 @@ def test_a_worker_killed_in_the_middle_loses_and_repeats_nothing(workers, tmp_pa
 
 
 def test_a_worker_with_another_program_is_refused(workers, tmp_path, monkeypatch):
-    monkeypatch.setattr(cluster, "program", lambda: {**program(), "version": "0.0.9"})
+    monkeypatch.setattr(processes, "program", lambda: {**program(), "version": "0.0.9"})
     with pytest.raises(Refused, match=r"a worker has another program: its version is .*, here 0\.0\.9"):
         list(by_scheduler(Job(CALIBRATE), iter(["/runs/1"]), workers.scheduler_address))
 
 
 def test_a_scheduler_that_is_not_there_is_told(monkeypatch):
-    monkeypatch.setattr(cluster, "_PATIENCE", "200ms")
+    monkeypatch.setattr(processes, "_SCHEDULER_PATIENCE", "200ms")
     with pytest.raises(Refused, match="no Dask scheduler answers there"):
         list(by_scheduler(Job(CALIBRATE), iter([]), "tcp://127.0.0.1:9"))
     with pytest.raises(Refused, match="no Dask scheduler answers there"):

@@ -82,7 +82,7 @@ def test_what_is_done_is_not_done_again(runs, tmp_path):
     assert left.notes == ("4 runs are done, 2 are left",)
     assert sorted(first.asked + second.asked) == runs
     assert counted(tmp_path / "out") == dict.fromkeys(runs, 1)
-    assert outcome.summary["runs"] | {} == {
+    assert outcome.runs.to_dict() == {
         "listed": 6, "done": 6, "failed": 0, "computed": 6, "simulated": 0, "without_stored_verdict": 0,
     }  # fmt: skip
 
@@ -123,7 +123,7 @@ def test_a_run_that_changed_is_computed_again_and_counts_once(runs, tmp_path):
     left, outcome = carried_out(tmp_path / "out", runs, rows)
     assert rows.asked == [runs[2]]
     assert "1 runs have changed since they were computed: they are computed again" in left.notes
-    assert outcome.summary["runs"]["done"] == 6
+    assert outcome.runs.done == 6
     assert counted(tmp_path / "out") == dict.fromkeys(runs, 1)
 
 
@@ -135,7 +135,7 @@ def test_runs_that_came_and_went_are_told(runs, tmp_path):
         "1 runs that were computed are no longer there: the result is without them",
         "4 runs are done, 1 are left",
     )
-    assert (outcome.summary["runs"]["listed"], outcome.summary["runs"]["done"]) == (5, 5)
+    assert (outcome.runs.listed, outcome.runs.done) == (5, 5)
 
 
 def test_another_command_is_told_with_all_that_differs(runs, tmp_path):

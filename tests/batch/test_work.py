@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from bench.batch.job import CALIBRATE, COLUMNS, DIAGNOSE, Job, arrow_schema
-from bench.batch.stored import Found, change_in_u, changes
-from bench.batch.work import worked
+from bench.batch.work import Found, change_in_u, changes, worked
 from bench.model.geometry import COEFFICIENTS
 from tests.support.many_runs import edited, runs_in
 

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from sqlalchemy import func, select
 
-from bench.catalogue import schema
+from bench.catalogue import store
 from bench.catalogue import sync as syncing
 from bench.catalogue.questions import run_folders
 from bench.catalogue.store import open_catalogue
@@ -19,7 +19,7 @@ COUNT = 24
 
 @pytest.fixture
 def runs(tmp_path, monkeypatch):
-    monkeypatch.setattr("bench.catalogue.scan.SETTLED_NS", -(10**15))
+    monkeypatch.setattr("bench.catalogue.sync.SETTLED_NS", -(10**15))
     monkeypatch.setattr(syncing, "BATCH", 3)
     for k in range(COUNT):
         write_run(
@@ -31,11 +31,11 @@ def runs(tmp_path, monkeypatch):
 def test_two_syncs_at_once_write_what_one_alone_writes(runs, tmp_path):
     def synced(_):
         with open_catalogue(tmp_path / "both") as catalogue:
-            return sync(catalogue, [runs], processes=1).to_json()
+            return sync(catalogue, [runs], processes=1)
 
     with ThreadPoolExecutor(3) as pool:
         done = list(pool.map(synced, range(3)))
-    assert all(one["problems"] == [] for one in done)
+    assert all(one.problems == {} for one in done)
     with open_catalogue(tmp_path / "alone") as catalogue:
         sync(catalogue, [runs], processes=1)
     assert rows_of(tmp_path / "both") == rows_of(tmp_path / "alone")
@@ -75,7 +75,7 @@ def test_a_register_tells_which_certificate_was_issued_of_which_run(runs, tmp_pa
     with open_catalogue(tmp_path / "file") as catalogue:
         sync(catalogue, [runs], processes=1)
         with catalogue.reading() as connection:
-            asked = select(schema.RUNS.c.head).where(schema.RUNS.c.name == "r07")
+            asked = select(store.RUNS.c.head).where(store.RUNS.c.name == "r07")
             head = connection.execute(asked).scalar_one()
         with opened(runs / "certificates") as register:
             data = {"run": "r07", "record": {"head": head}}
@@ -90,8 +90,8 @@ def test_a_register_tells_which_certificate_was_issued_of_which_run(runs, tmp_pa
 
 def rows_of(file):
     with open_catalogue(file) as catalogue, catalogue.reading() as connection:
-        assert connection.execute(select(func.count()).select_from(schema.RUNS)).scalar_one() == COUNT
+        assert connection.execute(select(func.count()).select_from(store.RUNS)).scalar_one() == COUNT
         return {
             table.name: connection.execute(select(table).order_by(*table.primary_key)).all()
-            for table in schema.METADATA.sorted_tables
+            for table in store.METADATA.sorted_tables
         }

@@ -18,7 +18,7 @@ DAYS = ("2023-01-10", "2024-01-12", "2025-01-09", "2026-01-11")
 
 @pytest.fixture
 def catalogue(empty_folder, monkeypatch):
-    monkeypatch.setattr("bench.catalogue.scan.SETTLED_NS", -(10**15))
+    monkeypatch.setattr("bench.catalogue.sync.SETTLED_NS", -(10**15))
     for serial in ("1", "2"):
         for day in DAYS[:3]:
             write_run(Path("runs") / f"{serial}-{day}", serial=serial, created=f"{day}T08:00:00+00:00")
@@ -29,23 +29,22 @@ def catalogue(empty_folder, monkeypatch):
 
 
 def counts(catalogue, **asked):
-    rows, odd = due_units(catalogue, [], **asked)
-    return {row["unit"]: row["calibrations"] for row in rows}, odd
+    found = due_units(catalogue, [], **asked)
+    return {one.unit: one.calibrations for one in found.units}, found.not_known
 
 
 def test_units_are_due_as_one_by_one(catalogue):
-    rows, odd = due_units(catalogue, [], limit_g=5e-4, interval_days=100.0)
-    alone = {
-        row["unit"]: unit_history(catalogue, row["unit"], limit_g=5e-4, interval_days=100.0).due
-        for row in rows
-    }
-    assert rows == [
-        {"unit": name, **alone[name].to_json()}
-        for name in sorted(alone, key=lambda n: (str(alone[n].date), n))
+    asked = {"limit_g": 5e-4, "interval_days": 100.0}
+    found = due_units(catalogue, [], **asked)
+    names = [one.unit for one in found.units]
+    alone = [unit_history(catalogue, name, **asked).due.to_dict() for name in names]
+    assert [one.to_dict() for one in found.units] == [
+        {**due, "unit": name} for name, due in zip(names, alone, strict=True)
     ]
-    assert {row["basis"] for row in rows} == {"drift", "interval"}
-    assert (len(rows), odd) == (3, {})
-    assert [row["unit"] for row in due_units(catalogue, ["serial=2"], limit_g=5e-4)[0]] == ["block A 2"]
+    assert [one.due for one in found.units] == sorted(one.due for one in found.units)
+    assert {one.basis for one in found.units} == {"drift", "interval"}
+    assert (len(names), found.not_known) == (3, {})
+    assert [one.unit for one in due_units(catalogue, ["serial=2"], limit_g=5e-4).units] == ["block A 2"]
 
 
 def test_what_was_reckoned_is_kept_until_a_run_of_the_unit_changes(catalogue, monkeypatch):
@@ -107,5 +106,5 @@ def test_after_a_sync_with_due_nobody_waits(catalogue, bench, monkeypatch):
     status, _, err = bench("catalogue", "sync", "runs", "--due", "--catalogue", "there.sqlite")
     assert (status, err) == (0, "")
     monkeypatch.setattr(unit, "due_of", None)
-    rows, odd = due_units(catalogue, [])
-    assert len(rows) + len(odd) == 3
+    found = due_units(catalogue, [])
+    assert len(found.units) + len(found.not_known) == 3

@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select, text
 
-from bench.catalogue import schema
-from bench.catalogue.answers import KINDS, answer
-from bench.catalogue.questions import run_folders
+from bench.catalogue import store
+from bench.catalogue.questions import KINDS, answer, run_folders
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
 from bench.catalogue.values import coefficient_table
@@ -60,13 +59,13 @@ def everything(catalogue):
     with catalogue.reading() as connection:
         return {
             table.name: connection.execute(select(table).order_by(*table.primary_key)).all()
-            for table in schema.METADATA.sorted_tables
+            for table in store.METADATA.sorted_tables
         }
 
 
 @pytest.mark.slow
 def test_a_file_and_a_server_give_the_same(server, tmp_path, monkeypatch):
-    monkeypatch.setattr("bench.catalogue.scan.SETTLED_NS", -(10**15))
+    monkeypatch.setattr("bench.catalogue.sync.SETTLED_NS", -(10**15))
     runs = tmp_path / "runs"
     for k in range(6):
         write_run(runs / f"r{k}", serial=str(k % 2), created=f"202{k}-03-01T08:00:00+00:00", effects=("a_b",))
@@ -92,9 +91,9 @@ def test_a_file_and_a_server_give_the_same(server, tmp_path, monkeypatch):
         assert (coefficient_table(file, []).vector == coefficient_table(other, []).vector).all()
         shutil.rmtree(runs / "r0")
         (runs / "r1").rename(runs / "r9")
-        changes = [sync(catalogue, [runs]).to_json() for catalogue in (file, other)]
+        changes = [sync(catalogue, [runs]) for catalogue in (file, other)]
         assert changes[0] == changes[1]
-        assert (changes[0]["moved"], changes[0]["vanished"]) == (1, 1)
+        assert (changes[0].moved, changes[0].vanished) == (1, 1)
         assert everything(file) == everything(other)
         with other.writing() as connection:
             connection.execute(text("DROP SCHEMA public CASCADE"))

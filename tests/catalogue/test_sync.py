@@ -2,14 +2,12 @@
 
 import json
 import shutil
-from importlib.resources import files
 
 import pytest
 from sqlalchemy import func, inspect, select
 
-from bench.catalogue import schema
-from bench.catalogue.answers import answer
-from bench.catalogue.questions import run_folders
+from bench.catalogue import store
+from bench.catalogue.questions import answer, run_folders
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
 from bench.services.errors import Refused
@@ -25,7 +23,7 @@ def catalogue(tmp_path):
 
 def row_of(catalogue, name):
     with catalogue.reading() as connection:
-        return connection.execute(select(schema.RUNS).where(schema.RUNS.c.name == name)).mappings().one()
+        return connection.execute(select(store.RUNS).where(store.RUNS.c.name == name)).mappings().one()
 
 
 def count(catalogue, table):
@@ -36,7 +34,7 @@ def count(catalogue, table):
 @pytest.fixture(autouse=True)
 def settled(monkeypatch):
     """Take files for settled at once."""
-    monkeypatch.setattr("bench.catalogue.scan.SETTLED_NS", -(10**15))
+    monkeypatch.setattr("bench.catalogue.sync.SETTLED_NS", -(10**15))
 
 
 def test_what_stands_in_a_run_folder_stands_in_the_catalogue(catalogue, tmp_path):
@@ -51,13 +49,13 @@ def test_what_stands_in_a_run_folder_stands_in_the_catalogue(catalogue, tmp_path
     assert row["ended"].isoformat() == "2026-03-01T08:03:00"
     with catalogue.reading() as connection:
         used = connection.execute(
-            select(schema.USES.c.role, schema.INSTRUMENTS.c.name, schema.CERTIFICATES.c.number)
-            .join(schema.INSTRUMENTS, schema.INSTRUMENTS.c.id == schema.USES.c.instrument)
-            .outerjoin(schema.CERTIFICATES, schema.CERTIFICATES.c.id == schema.USES.c.certificate)
-            .order_by(schema.USES.c.role)
+            select(store.USES.c.role, store.INSTRUMENTS.c.name, store.CERTIFICATES.c.number)
+            .join(store.INSTRUMENTS, store.INSTRUMENTS.c.id == store.USES.c.instrument)
+            .outerjoin(store.CERTIFICATES, store.CERTIFICATES.c.id == store.USES.c.certificate)
+            .order_by(store.USES.c.role)
         ).all()
-        found = connection.execute(select(schema.DIAGNOSES)).mappings().one()
-        verified = connection.execute(select(schema.VERIFICATIONS)).mappings().one()
+        found = connection.execute(select(store.DIAGNOSES)).mappings().one()
+        verified = connection.execute(select(store.VERIFICATIONS)).mappings().one()
     assert [tuple(one) for one in used] == [
         ("head", "manual dividing head of bench-01", None),
         ("voltmeter.x", "Keysight Technologies 34461A MY1", "2026-MY1"),
@@ -74,8 +72,8 @@ def test_a_second_sync_reads_only_what_changed(catalogue, tmp_path):
     (folders[1] / "verify.json").unlink()
     done = sync(catalogue, [tmp_path / "runs"])
     assert (done.added, done.changed, done.unchanged) == (0, 1, 2)
-    assert count(catalogue, schema.VERIFICATIONS) == 2
-    assert count(catalogue, schema.CALIBRATIONS) == 3
+    assert count(catalogue, store.VERIFICATIONS) == 2
+    assert count(catalogue, store.CALIBRATIONS) == 3
 
 
 def test_nothing_is_written_where_nothing_changed(catalogue, tmp_path):
@@ -100,41 +98,52 @@ def test_many_folders_are_looked_into_by_processes(catalogue, tmp_path, monkeypa
     assert alone.added == 7
     monkeypatch.setattr("bench.catalogue.sync.MANY", 3)
     monkeypatch.setattr("bench.catalogue.sync.LOOKED", 2)
-    monkeypatch.setattr("bench.catalogue.scan.SETTLED_NS", -(10**18))
+    monkeypatch.setattr("bench.catalogue.sync.SETTLED_NS", -(10**18))
     apart = sync(catalogue, [tmp_path / "runs"], processes=2)
     # a process of its own knows nothing of the time that this one takes files to settle in
     assert (apart.added, apart.vanished, apart.problems) == (0, 0, alone.problems)
     assert apart.changed + apart.unchanged == 7
 
 
-def test_an_older_catalogue_is_brought_up_to_date(tmp_path):
-    from alembic import command
-    from alembic.config import Config
-
-    write_run(tmp_path / "runs" / "one", verdict="fail")
+def test_an_older_catalogue_is_made_anew_from_its_runs(tmp_path):
+    """One folder is below that of the sync, one elsewhere, one gone; the older tables lack a column."""
+    one, _, gone = (
+        write_run(tmp_path / name, verdict="fail", serial=name[-1])
+        for name in ("runs/1", "elsewhere/2", "runs/3")
+    )
     file = tmp_path / "older.sqlite"
     with open_catalogue(file) as catalogue:
-        sync(catalogue, [tmp_path / "runs"])
-        indexes = _indexes(catalogue)
-        config = Config()
-        config.set_main_option("script_location", str(files("bench.catalogue") / "migrations"))
+        sync(catalogue, [tmp_path])
+        shutil.rmtree(gone)
         with catalogue.writing() as connection:
-            config.attributes["connection"] = connection
-            command.downgrade(config, "0001")
-        assert _indexes(catalogue) != indexes
-    with open_catalogue(file) as catalogue:
-        assert _indexes(catalogue) == indexes
-        assert [(row[0], row[4]) for row in answer(catalogue, [], "units").rows] == [("block A 1", 1)]
+            for statement in (
+                "DROP TABLE catalogue", "DROP TABLE dues", "CREATE TABLE alembic_version (version_num TEXT)",
+                "ALTER TABLE runs DROP COLUMN temperature_c", "ALTER TABLE runs ADD COLUMN colour TEXT",
+            ):  # fmt: skip
+                connection.exec_driver_sql(statement)
+    with pytest.raises(Refused, match=r"older version of this program; make it anew .*bench catalogue sync"):
+        open_catalogue(file)
+    with open_catalogue(file, renew=True) as catalogue:
+        assert catalogue.renewed.endswith(
+            "from its 2 runs; 1 runs whose folders are gone are kept as they were"
+        )
+    with open_catalogue(file) as catalogue:  # as after a sync that was ended at its beginning
+        done = sync(catalogue, [one.parent])
+        assert (done.added, done.vanished, done.problems) == (2, 1, {})
+        failed = answer(catalogue, ["verdict=fail"], "units").rows
+        assert [row[0] for row in failed] == ["block A 1", "block A 2", "block A 3"]
+        assert [row_of(catalogue, name)["temperature_c"] for name in "123"] == [23.5, 23.5, None]
+        again = sync(catalogue, [one.parent])
+        assert (again.added, again.changed, again.unchanged) == (0, 0, 1)
+        with catalogue.reading() as connection:
+            assert "alembic_version" not in inspect(connection).get_table_names()
 
 
-def _indexes(catalogue):
-    with catalogue.reading() as connection:
-        found = inspect(connection)
-        return {
-            i["name"]: i["column_names"]
-            for name in ("runs", "verifications")
-            for i in found.get_indexes(name)
-        }
+def test_a_newer_catalogue_is_refused(tmp_path):
+    with open_catalogue(tmp_path / "newer") as catalogue, catalogue.writing() as connection:
+        connection.execute(store.ABOUT.update().values(schema=store.SCHEMA + 1))
+    with pytest.raises(Refused, match="newer version"):
+        open_catalogue(tmp_path / "newer", renew=True)
 
 
 def test_a_moved_folder_is_the_same_run_and_one_that_is_gone_is_marked(catalogue, tmp_path):
@@ -144,7 +153,7 @@ def test_a_moved_folder_is_the_same_run_and_one_that_is_gone_is_marked(catalogue
     shutil.rmtree(two)
     done = sync(catalogue, [tmp_path / "runs"])
     assert (done.added, done.moved, done.vanished) == (0, 1, 1)
-    assert count(catalogue, schema.RUNS) == 2
+    assert count(catalogue, store.RUNS) == 2
     assert run_folders(catalogue, []) == [tmp_path / "runs" / "renamed"]
     assert row_of(catalogue, "two")["vanished"]
     write_run(two)
@@ -213,7 +222,7 @@ def test_a_result_of_another_state_of_the_record_is_told_from_its_own(catalogue,
     write_events(folder, events[:-1])
     sync(catalogue, [tmp_path / "runs"])
     with catalogue.reading() as connection:
-        assert connection.execute(select(schema.CALIBRATIONS.c.of_record)).scalar_one() is False
+        assert connection.execute(select(store.CALIBRATIONS.c.of_record)).scalar_one() is False
     assert row_of(catalogue, "one")["state"] == "running"
 
 
@@ -260,7 +269,7 @@ def test_a_deleted_catalogue_is_made_again_the_same(tmp_path):
             sync(catalogue, [tmp_path / "runs"])
             with catalogue.reading() as connection:
                 rows.append(
-                    {t.name: connection.execute(select(t)).all() for t in schema.METADATA.sorted_tables}
+                    {t.name: connection.execute(select(t)).all() for t in store.METADATA.sorted_tables}
                 )
     assert rows[0] == rows[1]
     assert all(rows[0][name] for name in ("runs", "uses", "calibrations", "points", "diagnoses"))

@@ -34,7 +34,7 @@ HIDDEN = [
     ("sqlalchemy", "catalogue", ("catalogue", "unit", "7")),
     ("sqlalchemy", "catalogue", ("catalogue", "due")),
     ("sqlalchemy", "catalogue", ("catalogue", "keys")),
-    ("alembic", "catalogue", ("catalogue", "sync", "runs", "--catalogue", "new.sqlite")),
+    ("sqlalchemy", "catalogue", ("catalogue", "sync", "runs", "--catalogue", "new.sqlite")),
     ("psycopg", "postgresql", ("catalogue", "sync", "runs", "--catalogue", "postgresql://127.0.0.1/lab")),
     ("pyarrow", "catalogue", BATCH),
     ("duckdb", "catalogue", BATCH),

@@ -14,8 +14,8 @@ from bench.panel.acting import looking, panel_of
 from bench.panel.pages.shown import page
 
 if TYPE_CHECKING:
-    from bench.catalogue.answers import Answer
-    from bench.catalogue.unit import UnitHistory
+    from bench.catalogue.questions import Answer
+    from bench.results.catalogue import UnitResult
 
 LONGEST: Final = 300
 ON_A_PAGE: Final = 100
@@ -39,16 +39,15 @@ async def unit(request: Request) -> Response:
     looking(request)
     name = request.path_params["unit"][:LONGEST]
     history = await run_in_threadpool(_history, _where(request), name)
-    from bench.results.unit import coefficient_rows
+    from bench.results.catalogue import coefficient_rows
 
-    told = history.to_json()
     return page(
         request,
         "unit.html.j2",
-        history=told,
-        rows=coefficient_rows(told["calibrations"]),
-        figure=f"/catalogue/figure/{quote(history.unit, safe='')}" if told["calibrations"] else "",
-        runs=list(reversed(told["runs"]))[:ON_A_PAGE],
+        history=history,
+        rows=coefficient_rows(history.calibrations),
+        figure=f"/catalogue/figure/{quote(history.unit, safe='')}" if history.calibrations else "",
+        runs=list(reversed(history.runs))[:ON_A_PAGE],
     )
 
 
@@ -69,7 +68,7 @@ def _where(request: Request) -> str:
 
 
 def _units(where: str, asked: str) -> Answer:
-    from bench.catalogue.answers import answer
+    from bench.catalogue.questions import answer
     from bench.catalogue.store import open_catalogue
 
     # what is typed without a key is looked for among the units
@@ -80,7 +79,7 @@ def _units(where: str, asked: str) -> Answer:
         return answer(catalogue, words, "units")
 
 
-def _history(where: str, unit: str) -> UnitHistory:
+def _history(where: str, unit: str) -> UnitResult:
     from bench.catalogue.store import open_catalogue
     from bench.catalogue.unit import unit_history
 
@@ -90,11 +89,11 @@ def _history(where: str, unit: str) -> UnitHistory:
 
 def _figure(where: str, unit: str) -> str:
     from bench.catalogue.store import open_catalogue
-    from bench.catalogue.unit import in_json, unit_calibrations
-    from bench.results.unit import unit_file
+    from bench.catalogue.unit import unit_calibrations
+    from bench.results.catalogue import unit_file
 
     with open_catalogue(where, existing=True) as catalogue:
-        calibrations = in_json(unit_calibrations(catalogue, unit))
+        calibrations = unit_calibrations(catalogue, unit)
     if not calibrations:
         raise Refusal(404, f"{unit}: no calibration to draw")
     return unit_file(calibrations)

@@ -1,0 +1,310 @@
+"""The results of `bench catalogue`: a sync, an answer, a unit, what is due; as JSON, as text, a unit as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+from markupsafe import Markup
+from pydantic import Field
+from rich.console import Console
+
+from bench.base.arrays import Floats
+from bench.base.computing import quiet
+from bench.base.numbers import fixed, places, scale_for, two_digits
+from bench.base.result_model import ResultModel
+from bench.base.tables import table
+from bench.calibration.conformity import COVERAGE_FACTOR
+from bench.history.drift import Due
+from bench.model.geometry import COEFFICIENTS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ON_SCREEN: Final = 40
+"""Rows that a terminal shows; files have all."""
+
+_COLUMNS_ON_SCREEN: Final = {
+    "runs": ("name", "created", "unit", "bench", "state", "verdict", "diagnosis", "problem"),
+    "coefficients": ("name", "created", "unit", "bench", "Kxx", "Kyy", "Kzz", "U0x", "U0y", "U0z"),
+}
+"""Columns of a question that a terminal shows, where that is not all."""
+
+Row = dict[str, bool | int | float | str | None]
+"""A row by column; null where nothing was recorded, times in UTC (ISO 8601)."""
+
+
+class FolderProblem(ResultModel):
+    """A folder with a problem."""
+
+    path: str = Field(description="the folder")
+    reason: str = Field(description="why it holds no run of the catalogue, or what is wrong with its run")
+
+
+class SyncResult(ResultModel):
+    """What a sync did, counted in folders."""
+
+    catalogue: str = Field(description="its file, or its URL without the password")
+    added: int = Field(description="runs that were not there")
+    changed: int = Field(description="runs that were read again")
+    unchanged: int = Field(description="folders as they were")
+    moved: int = Field(description="runs that are in another folder")
+    vanished: int = Field(description="runs whose folder is gone since")
+    problems: list[FolderProblem]
+
+    def print_on(self, out: Console) -> None:
+        """Print each problem, and the counts."""
+        for one in self.problems:
+            out.print(f"{one.path}: {one.reason}")
+        bad = f", {len(self.problems)} with a problem" if self.problems else ""
+        out.print(
+            f"{self.catalogue}: {self.added} new, {self.changed} changed, {self.moved} moved, {self.unchanged} as "
+            f"they were, {self.vanished} gone{bad}",
+            style="bold",
+        )
+
+
+class AskResult(ResultModel):
+    """The answer to a question."""
+
+    query: list[str] = Field(description="the words of the question")
+    of: Literal[
+        "runs", "coefficients", "units", "benches", "operators", "instruments", "certificates", "issued", "folders"
+    ] = Field(description="what the rows are")  # fmt: skip
+    count: int = Field(description="how many rows")
+    rows: list[Row] = Field(description="a row by column; null where nothing was recorded, times in UTC")
+
+    def print_on(self, out: Console) -> None:
+        """Print the first rows, with the columns that a terminal has room for."""
+        if self.rows:
+            names = [name for name in _COLUMNS_ON_SCREEN.get(self.of, self.rows[0]) if name in self.rows[0]]
+            shown = table(*(name.replace("_", " ") for name in names))
+            for row in self.rows[:ON_SCREEN]:
+                shown.add_row(*(_cell(row[name]) for name in names))
+            out.print(shown)
+        out.print(f"{self.count} {self.of}{_not_shown(self.count, '--csv')}", style="bold")
+
+
+class DuePart(ResultModel):
+    """When a unit is due."""
+
+    due: str = Field(description="the day")
+    basis: Literal["drift", "interval"] = Field(
+        description="from its drift, or from the interval where its history is too short"
+    )
+    why: str = Field(description="a sentence")
+    last: str = Field(description="day of the last calibration")
+    calibrations: int = Field(description="how many it was found from")
+    limit_g: float = Field(description="error allowed, in local g at 1 g in any direction")
+    error_at_last_g: float | None = Field(
+        description="expanded error expected (k = 2) at the last calibration; null where the interval counts"
+    )
+    error_when_due_g: float | None = Field(description="the same on the day")
+    simulated: bool = Field(description="whether the calibrations are of simulated runs")
+
+
+class UnitDue(DuePart):
+    """When a unit is due, with its name."""
+
+    unit: str = Field(description="type and serial number")
+
+
+class DueResult(ResultModel):
+    """When units are due, the first first."""
+
+    query: list[str] = Field(description="the words of the question")
+    units: list[UnitDue]
+    not_known: dict[str, str] = Field(description="units of which no date is known, with the reason")
+
+    def print_on(self, out: Console) -> None:
+        """Print the first units, and why others have no date."""
+        shown = table("due", "unit", "by", ">calibrations", "last", "")
+        for one in self.units[:ON_SCREEN]:
+            simulated = "simulated" if one.simulated else ""
+            shown.add_row(one.due, one.unit, one.basis, str(one.calibrations), one.last, simulated)
+        if self.units:
+            out.print(shown)
+        counted = "1 unit" if len(self.units) == 1 else f"{len(self.units)} units"
+        out.print(f"{counted} due{_not_shown(len(self.units), '--json')}", style="bold")
+        _print_notes([f"{name}: {why}" for name, why in self.not_known.items()], out)
+
+
+class CoefficientThen(ResultModel):
+    """A coefficient as a calibration found it."""
+
+    value: float = Field(description="in unit/g; a bias in unit")
+    u: float = Field(description="standard uncertainty")
+    U: float = Field(description="expanded, k = 2")
+
+
+class UnitCalibration(ResultModel):
+    """A calibration of a unit."""
+
+    path: str = Field(description="folder of the run")
+    created: str = Field(description="when it was begun, UTC")
+    bench: str | None = Field(description="name in the bench file")
+    unit: str = Field(description="of the signals")
+    g_m_s2: float = Field(description="local g of the last calibration: all are stated per this one")
+    coefficients: dict[str, CoefficientThen]
+
+
+class UnitResult(ResultModel):
+    """What the catalogue knows of one unit."""
+
+    unit: str = Field(description="type and serial number")
+    simulated: bool = Field(
+        description="whether the calibrations compared are of simulated runs: then there are no others"
+    )
+    due: DuePart | None = Field(description="when it is due; null where no date is known")
+    why_not_due: str = Field(description="why there is no date; empty where there is one")
+    calibrations: list[UnitCalibration] = Field(description="those compared, oldest first")
+    runs: list[Row] = Field(description="all runs, as of `bench catalogue ask`")
+    notes: list[str]
+
+    def print_on(self, out: Console) -> None:
+        """Print the last coefficients with their changes, and when the unit is due."""
+        made = f"{len(self.runs)} runs, {len(self.calibrations)} calibrations compared"
+        out.print(f"{self.unit}: {made}{', SIMULATED' if self.simulated else ''}", style="bold")
+        if self.calibrations:
+            shown = table(
+                "coefficient", ">last", ">U (k=2)", ">since the one before", ">since the first", "unit"
+            )
+            for row in coefficient_rows(self.calibrations):
+                shown.add_row(*row)
+            out.print(shown)
+        _print_notes(self.notes, out)
+        due = self.due
+        told = f"due {due.due}: {due.why}" if due else f"no date due: {self.why_not_due}"
+        out.print(told, style="bold")
+
+
+def due_part(found: Due) -> DuePart:
+    """Return when a unit is due as results have it."""
+    return DuePart(
+        due=str(found.date.astype("datetime64[D]")),
+        basis=found.basis,
+        why=found.why,
+        last=str(found.last.astype("datetime64[D]")),
+        calibrations=found.count,
+        limit_g=found.limit_g,
+        error_at_last_g=found.now_g,
+        error_when_due_g=found.predicted_g,
+        simulated=found.simulated,
+    )
+
+
+def _print_notes(notes: Sequence[str], out: Console) -> None:
+    if not quiet.get():
+        for note in notes:
+            out.print(f"note: {note}")
+
+
+def _not_shown(count: int, option: str) -> str:
+    more = count - ON_SCREEN
+    return f"; {more} more are not shown: {option} FILE has all" if more > 0 else ""
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, str) and value.endswith("+00:00") and value[4:5] == "-":  # a time, UTC
+        return value[:16].replace("T", " ")
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+# --- a unit: what changed, its page and its figure ----------------------------------------------------
+
+INCHES: Final = (7.4, 7.6)
+_RUN_COLUMNS: Final = (
+    "created", "name", "bench", "procedure", "operator", "state", "verdict", "diagnosis", "problem",
+)  # fmt: skip
+
+
+def unit_page(result: UnitResult) -> str:
+    """Return the page of a unit (HTML); the same result gives the same text."""
+    from bench.results.template import page
+
+    calibrations = result.calibrations
+    return page(
+        "unit.html.j2",
+        history=result,
+        figure=Markup(unit_figure(calibrations)) if calibrations else None,  # noqa: S704 - our own drawing
+        expected=_expected(result.due),
+        rows=coefficient_rows(calibrations),
+        headings=[column.replace("_", " ") for column in _RUN_COLUMNS],
+        runs=[[_cell(run[column]) for column in _RUN_COLUMNS] for run in reversed(result.runs)],
+    )
+
+
+def _expected(due: DuePart | None) -> list[str]:
+    """Return the errors expected at the last calibration and when due, in millionths of g, to two digits."""
+    sizes = [due.error_at_last_g, due.error_when_due_g] if due else []
+    return ["–" if size is None else two_digits(size * 1e6) for size in sizes]
+
+
+def unit_figure(calibrations: Sequence[UnitCalibration]) -> str:
+    """Return an SVG element: each coefficient less its last value over time, with bars of k = 2."""
+    from bench.results.plots import svg_figure
+
+    words = f"Each of the twelve coefficients in {len(calibrations)} calibrations, less its last value"
+    return svg_figure("unit", INCHES, _drawing(calibrations), words)
+
+
+def unit_file(calibrations: Sequence[UnitCalibration]) -> str:
+    """Return the same figure as an SVG file of its own."""
+    from bench.results.plots import svg_file
+
+    return svg_file("unit", INCHES, _drawing(calibrations))
+
+
+def _drawing(calibrations: Sequence[UnitCalibration]) -> Callable[[Figure], None]:
+    from bench.results.plots import BLUE, GREY, symbol
+
+    dates = np.array([one.created[:19] for one in calibrations], dtype="datetime64[s]")
+    values, sizes = _arrays(calibrations)
+    change, bars = values - values[-1], COVERAGE_FACTOR * sizes
+    unit = calibrations[-1].unit
+
+    def draw(figure: Figure) -> None:
+        grid = figure.subplots(4, 3, sharex=True)
+        for j, name in enumerate(COEFFICIENTS):
+            axes = grid.flat[j]
+            scale = scale_for(float(np.max(np.abs(change[:, j]) + bars[:, j])), unit)
+            axes.axhline(0.0, color=GREY, linewidth=0.7)
+            axes.errorbar(
+                dates.astype(object), change[:, j] / scale.size, bars[:, j] / scale.size,
+                fmt="o", color=BLUE, capsize=2.0, markersize=3.0, elinewidth=0.8,
+            )  # fmt: skip
+            axes.set_title(f"{symbol(name)} / {scale.unit if name.startswith('U0') else scale.per_g}")
+            ends = [dates[0], dates[-1]] if dates[-1] > dates[0] else [dates[0]]
+            axes.set_xticks([end.astype(object) for end in ends], [str(end)[:10] for end in ends])
+
+    return draw
+
+
+def coefficient_rows(calibrations: Sequence[UnitCalibration]) -> list[tuple[str, ...]]:
+    """Return for each coefficient its last value, its U, the change since the one before and since the first."""
+    if not calibrations:
+        return []
+    values, sizes = _arrays(calibrations)
+    rows = []
+    for j, name in enumerate(COEFFICIENTS):
+        last, expanded = float(values[-1, j]), float(COVERAGE_FACTOR * sizes[-1, j])
+        digits = places(expanded) if expanded > 0 else 6
+        since = [values[-1, j] - values[k, j] for k in ((-2, 0) if len(values) > 1 else ())]
+        changes = [fixed(float(change), digits, sign=True) for change in since] or ["–", "–"]
+        unit = calibrations[-1].unit + ("" if name.startswith("U0") else "/g")
+        rows.append((name, fixed(last, digits), fixed(expanded, digits), *changes, unit))
+    return rows
+
+
+def _arrays(calibrations: Sequence[UnitCalibration]) -> tuple[Floats, Floats]:
+    """Return values and standard uncertainties, (n, 12) each."""
+    values, sizes = (
+        np.array([[getattr(one.coefficients[name], what) for name in COEFFICIENTS] for one in calibrations])
+        for what in ("value", "u")
+    )
+    return values, sizes

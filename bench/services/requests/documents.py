@@ -1,0 +1,171 @@
+"""Requests on many runs and on certificates: catalogue, batches, certificates."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Annotated
+
+from bench.base.requests import Option
+from bench.services.requests.shared import OnReadings
+
+CatalogueField = Annotated[
+    str | None,
+    Option(
+        "The catalogue: a file, or postgresql://USER@HOST/NAME (default: in the user's cache folder).",
+        metavar="FILE|URL",
+        environment="TRIAXIAL_BENCH_CATALOGUE",
+    ),
+]
+QueryField = Annotated[
+    list[str] | None,
+    Option("What has to hold; 'bench catalogue keys' lists the keys.", metavar="[KEY=VALUE…]", argument=True),
+]
+
+
+@dataclass(frozen=True)
+class Sync:
+    """Take what is new or changed in run folders into the catalogue."""
+
+    folders: Annotated[
+        list[Path], Option("Folders with run folders, at any depth.", metavar="DIR…", argument=True)
+    ]
+    _: KW_ONLY
+    verify: Annotated[bool, Option("Read every event of each record, not only the hashes of its lines.")] = (
+        False
+    )
+    due: Annotated[
+        bool,
+        Option("Then reckon when the units of what changed are due, so that 'due' answers at once."),
+    ] = False
+    catalogue: CatalogueField = None
+
+
+@dataclass(frozen=True)
+class Ask:
+    """Which runs, units, benches, instruments or certificates a question names."""
+
+    query: QueryField = None
+    _: KW_ONLY
+    of: Annotated[
+        str,
+        Option(
+            "runs, coefficients, units, benches, operators, instruments, certificates, issued or folders.",
+            metavar="WHAT",
+        ),
+    ] = "runs"
+    csv: Annotated[Path | None, Option("Write all columns and rows as CSV.", metavar="FILE")] = None
+    parquet: Annotated[Path | None, Option("Write them as Parquet.", metavar="FILE")] = None
+    catalogue: CatalogueField = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Dated:
+    limit: Annotated[
+        float | None,
+        Option("Error allowed, in g at 1 g (default: its last verification's).", metavar="G"),
+    ] = None
+    interval: Annotated[
+        float | None, Option("Counts where a history is too short (default: 365).", metavar="DAYS")
+    ] = None
+    catalogue: CatalogueField = None
+
+
+@dataclass(frozen=True)
+class Unit(_Dated):
+    """One unit: its coefficients over time, its runs, when it is due."""
+
+    name: Annotated[str, Option("Serial number, or type and serial number.", metavar="UNIT", argument=True)]
+    _: KW_ONLY
+    page: Annotated[Path | None, Option("Write its page (HTML).", metavar="FILE")] = None
+
+
+@dataclass(frozen=True)
+class DueUnits(_Dated):
+    """When units are due, by their drift."""
+
+    query: QueryField = None
+    _: KW_ONLY
+    before: Annotated[str | None, Option("Those that are due before that day.", metavar="YYYY-MM-DD")] = None
+
+
+# --- batches: the same work over many runs ------------------------------------------------------------
+
+LimitField = Annotated[float | None, Option("Limit of |Δg| in g, in place of the bench file's.")]
+RuleField = Annotated[
+    str | None,
+    Option(
+        "simple: |Δg| within the limit; guarded: |Δg| + w within it, w = U; non-binary: with conditional "
+        "statements (default: the bench file's, or non-binary with w at 5 % false acceptance).",
+        metavar="RULE",
+    ),
+]
+GuardBandField = Annotated[
+    float | None,
+    Option("Guard band of the rule: w = R U (default: the bench file's, or that of the rule).", metavar="R"),
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch(OnReadings):
+    """Compute many runs anew, into a folder."""
+
+    over: Annotated[
+        list[str],
+        Option(
+            "Which runs: a pattern of paths ('runs/*'), or words of a query of the catalogue ('unit=Q-17'); may be "
+            "given several times.",
+            metavar="QUERY|GLOB",
+        ),
+    ]
+    out: Annotated[Path, Option("Folder of the batch; the same command goes on with it.", metavar="FOLDER")]
+    model: Annotated[Path | None, Option("Model file: effects beside the paper's terms.", metavar="FILE")] = (
+        None
+    )
+    workers: Annotated[
+        int | None, Option("Processes on this machine (default: one a core).", metavar="N", least=1)
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        Option(
+            "Dask scheduler whose workers compute, in place of processes here: tcp://host:8786.",
+            metavar="ADDRESS",
+        ),
+    ] = None
+    catalogue: CatalogueField = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchCalibrate(Batch):
+    """Coefficients and verdicts of many runs anew."""
+
+    estimator: Annotated[str, Option("The estimators.")] = "gls"
+    nominal_angles: Annotated[bool, Option("Target angles in place of those read back.")] = False
+    join_free: Annotated[bool, Option("Free positions (F) join the fit by |a| = 1 g.")] = True
+    join_verification: Annotated[bool, Option("So do verification points; they check nothing then.")] = False
+    limit: LimitField = None
+    rule: RuleField = None
+    guard_band: GuardBandField = None
+    strict: Annotated[bool, Option("A fit that is judged otherwise is not accepted, either.")] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchDiagnose(Batch):
+    """Diagnoses of many runs anew."""
+
+    strict: Annotated[bool, Option("Other names under the same verdict are not accepted, either.")] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchReport(Batch):
+    """Pages of many runs, in the folder of the batch."""
+
+    limit: LimitField = None
+    rule: RuleField = None
+    guard_band: GuardBandField = None
+    population: Annotated[
+        tuple[float, float] | None,
+        Option(
+            "Mean and standard deviation of Δg over many blocks, g: they enter the risks.", metavar="MEAN SD"
+        ),
+    ] = None
