@@ -38,6 +38,7 @@ from bench.calibration.conformity import SIMPLE, Population
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings
+from bench.results.verification import verdict_part
 from benchmarks.blind_trial.geometry import ARCSEC, specific_force
 
 Floats = NDArray[np.float64]
@@ -102,7 +103,7 @@ def run(seed: int, number: int, noise: float, joint: int) -> tuple[Decided, Deci
     readings, errors = simulate(rng, noise, errors), errors.ravel()
     found = calibrate(readings, MODEL, STAND_U, 9.81)
     told = found.block, found.covariance, found.noise.widened().reading, LIMIT_G, 1.0, SIMPLE
-    points = [point.to_json() for point in verify(readings, *told).points]
+    points = verdict_part(verify(readings, *told)).to_dict()["points"]
     bad = np.abs(errors) > LIMIT_G
     accepted = np.array([p["p_false_accept"] for p in points], dtype=np.float64)
     rejected = np.array([p["p_false_reject"] for p in points], dtype=np.float64)
@@ -149,9 +150,8 @@ def of_population(seed: int, number: int, noise: float, *, alike: bool) -> tuple
     readings = simulate(rng, noise, errors)
     found = calibrate(readings, MODEL, STAND_U, 9.81)
     noise_u = found.noise.widened().reading
-    verdict = verify(
-        readings, found.block, found.covariance, noise_u, LIMIT_G, population=POPULATION
-    ).to_json()
+    decided = verify(readings, found.block, found.covariance, noise_u, LIMIT_G, population=POPULATION)
+    verdict = verdict_part(decided).to_dict()
     accepted = verdict["p_false_accept"] is not None
     bad = bool(np.any(np.abs(errors) > LIMIT_G))
     return verdict["p_false_accept" if accepted else "p_false_reject"], bad is accepted

@@ -10,6 +10,9 @@
     Line(slope=1.0, u=math.nan).to_dict()        # {"slope": 1.0, "u": None}
 
 A member that a result has only sometimes has a default, and is left out of the JSON where nobody sets it.
+`from_object` makes a model of the attributes of what was computed, and so the parts within it:
+
+    Line.from_object(fitted, u=fitted.u_slope)            # fitted.slope, fitted.notes
 """
 
 from __future__ import annotations
@@ -41,12 +44,15 @@ Matrix = Annotated[list[list[float]], BeforeValidator(_listed)]
 class ResultModel(BaseModel):
     """Base of results and their parts: frozen, its members named in full, no NaN or infinity."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True, from_attributes=True
+    )
 
     @classmethod
-    def from_object(cls, source: object) -> Self:
-        """Return the result of an object that has an attribute for each member."""
-        return cls.model_validate(source, from_attributes=True)
+    def from_object(cls, computed: object, **others: Any) -> Self:
+        """Return the model of what was computed: `others`, and its attributes that go by the names of members."""
+        names = [name for name in cls.model_fields if name not in others and hasattr(computed, name)]
+        return cls(**{name: getattr(computed, name) for name in names}, **others)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the members as JSON has them, without those that nobody set."""

@@ -11,6 +11,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.table import Table
 
+from bench.base.computing import quiet
 from bench.base.text import visible
 
 WIDTH: Final = 120
@@ -41,6 +42,13 @@ def table(*headings: str, no_wrap: bool = False) -> Table:
         right = heading.startswith(">")
         made.add_column(heading.removeprefix(">"), justify="right" if right else "left", no_wrap=no_wrap)
     return made
+
+
+def print_notes(out: Console, notes: Iterable[str]) -> None:
+    """Print notes among a result; `--quiet` leaves them to the JSON and the page."""
+    if not quiet.get():
+        for note in notes:
+            out.print(f"note: {note}")
 
 
 def as_text(print_on: Callable[[Console], None]) -> str:

@@ -15,7 +15,7 @@ from bench.config.shipped import find_bench
 from bench.model.geometry import COEFFICIENTS
 from bench.run.events import sha256
 from bench.services.errors import Refused
-from bench.services.provenance import versions
+from bench.services.records import versions
 from bench.services.requests.documents import Batch, BatchCalibrate, BatchDiagnose, BatchReport
 from bench.services.source import Request, check_gravity
 from bench.services.verification import Asked

@@ -22,13 +22,12 @@ from bench.diagnosis.full import TooLittleLeft
 from bench.model import CATALOGUE, Effect
 from bench.model.geometry import COEFFICIENTS
 from bench.run.events import RecordError, read_manifest, sha256
-from bench.services.calibration import CalibrationResult, calibration_of
+from bench.services.calibration import CalibrationResult, calibration_of, report_page, verification_of
 from bench.services.diagnosis import body_of, diagnosis_of
-from bench.services.documents import report_page
-from bench.services.explained import sentence
+from bench.services.errors import sentence
 from bench.services.free_diagnosis import free_diagnosis_of, free_sources
 from bench.services.source import Source, load_sources
-from bench.services.verification import VerificationResult, verification_of
+from bench.services.verification import VerificationResult
 
 _ONE_AT_A_TIME: Final = Lock()
 """A process computes one run at a time: which effects are known holds for all of it."""

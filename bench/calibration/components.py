@@ -50,17 +50,6 @@ class Component:
     dof: float
     p: float
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "what": self.what,
-            "channels": self.channels,
-            "size": self.size,
-            "unit": self.unit,
-            "dof": self.dof,
-            "p": self.p,
-        }
-
 
 @dataclass(frozen=True)
 class Drift:
@@ -73,14 +62,6 @@ class Drift:
     course: Floats
     per_hour: Floats
     hours: float
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "hours": self.hours,
-            "rms": dict(zip(CHANNELS, self.size.tolist(), strict=True)),
-            "per_hour": dict(zip(CHANNELS, self.per_hour.tolist(), strict=True)),
-        }
 
 
 @dataclass(frozen=True)

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bench.base.arrays import ARCSEC, CHANNELS, Floats, HasCovariance, rms, u_of
+from bench.base.arrays import Floats, HasCovariance, rms, u_of
 from bench.base.computing import CalibrationError as CalibrationError  # noqa: PLC0414 - known by this name, too
-from bench.base.numbers import finite_or_none
-from bench.model.geometry import COEFFICIENTS, Block
+from bench.model.geometry import Block
 from bench.readings.table import Readings
 from bench.stats.repeats_likelihood import LEAST_DOF
 
@@ -38,19 +37,6 @@ class SourceOfError:
     covariance: Floats
     cancels: bool = False
     of_block: Floats | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "name": self.name,
-            "symbol": self.symbol,
-            "size": self.size,
-            "origin": self.origin,
-            "prior": self.prior,
-            "dof": finite_or_none(self.dof),
-            "u": dict(zip(COEFFICIENTS, u_of(self.covariance).tolist(), strict=True)),
-            "cancels_with_the_same_meters": self.cancels,
-        }
 
 
 COVERAGE_FACTOR: Final = 2.0
@@ -80,10 +66,6 @@ class Estimate:
         """Whether the data made it any better known than it was before."""
         return self.u < HARDLY_BETTER * self.prior_u
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {"value": self.value, "u": self.u, "unit": self.unit, "told_by_data": self.told_by_data}
-
 
 @dataclass(frozen=True)
 class NoisePrior:
@@ -108,18 +90,6 @@ class NoisePrior:
         """Where the sizes of a noise come from beside which these count."""
         where = "the bench file" if self.stated else "other runs"
         return f"residuals and {where}" if self.readings_dof > 0 else where
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "reading_v": self.reading,
-            "setting_arcsec": self.setting_rad / ARCSEC,
-            "dof": self.dof,
-            "readings_dof": self.readings_dof,
-            "ratio": finite_or_none(self.ratio),
-            "p": finite_or_none(self.p),
-            "from": "bench file" if self.stated else "other runs",
-        }
 
 
 @dataclass(frozen=True)
@@ -247,12 +217,6 @@ class Outlier:
             f"{self.point}), {self.channel}: off by {size}, {abs(self.sigma):.3g} sigma"
         )
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        result = asdict(self)
-        result["pass"] = result.pop("pass_number")
-        return result
-
 
 @dataclass(frozen=True)
 class Triangular:
@@ -268,26 +232,6 @@ class Triangular:
     u_bias: Floats
     u_scale: Floats
     u_skew: Floats
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "convention": "a = T S (u - b) in m/s^2, T unit upper triangular, S diagonal and positive",
-            "bias": {"value": self.bias.tolist(), "u": self.u_bias.tolist()},
-            "scale_ms2_per_unit": {"value": self.scale.tolist(), "u": self.u_scale.tolist()},
-            "T": {"value": self.T.tolist(), "u": self.u_skew.tolist()},
-        }
-
-
-def values_with_u(values: Floats, u: Floats) -> dict[str, dict[str, float]]:
-    """Return the first of the twelve coefficients (m,) by name, each with its standard uncertainty."""
-    rows = zip(COEFFICIENTS, values.tolist(), u.tolist(), strict=False)
-    return {name: {"value": value, "u": u} for name, value, u in rows}
-
-
-def by_channel(values: Floats) -> dict[str, float]:
-    """Return values (3,) by the names of the channels."""
-    return dict(zip(CHANNELS, values.tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -384,89 +328,3 @@ class Calibration(HasCovariance):
         places = zip(*(column.tolist() for column in columns), strict=True)
         kept = np.array([place not in out for place in places])
         return rms(self.modulus_error[kept])
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised result (standard uncertainties; NaN becomes null)."""
-        fit = self.lack_of_fit
-        return {
-            "estimator": self.estimator,
-            "unit": self.unit,
-            "g_m_s2": self.g_m_s2,
-            "per": "g",
-            "coefficients": self._coefficients(),
-            "coefficients_per_ms2": self._per_ms2(),
-            "order": list(COEFFICIENTS),
-            "covariance": self.covariance.tolist(),
-            "covariance_readings": self.covariance_readings.tolist(),
-            "covariance_same_meters": self.covariance_same_meters.tolist(),
-            "block_terms": self.block_terms.T.tolist(),
-            "gravity_u": self.gravity_u,
-            "sources": [source.to_json() for source in self.sources],
-            "stand": {name: estimate.to_json() for name, estimate in self.stand.items()},
-            "effects": {name: estimate.to_json() for name, estimate in self.effects.items()},
-            "not_observable": list(self.assumed),
-            "residual": {
-                **{name: finite_or_none(getattr(fit, name)) for name in ("rms", "chi2", "p")},
-                "dof": fit.dof,
-                "birge": self.birge,
-            },
-            "noise": {
-                "reading_v": self.noise.reading,
-                **by_channel(self.noise.by_channel),
-                "p_equal": finite_or_none(self.noise.p_equal),
-                "p_tails": finite_or_none(self.p_tails),
-                "shared": [component.to_json() for component in self.shared],
-                "drift": None if self.drift is None else self.drift.to_json(),
-                "wander": None if self.wander is None else by_channel(self.wander),
-                "setting_arcsec": self.noise.setting_rad / ARCSEC,
-                "setting_limits_arcsec": self._setting_limits_arcsec(),
-                "dof": finite_or_none(self.noise.dof),
-                "source": self.noise.source,
-                "prior": None if self.noise.prior is None else self.noise.prior.to_json(),
-            },
-            "readings": {"used": self.used, "skipped": self.skipped},
-            "model": self.model,
-            "angles": self.angles,
-            "outliers": [outlier.to_json() for outlier in self.outliers],
-            "free_positions": self._free_json(),
-            "triangular": None if self.triangular is None else self.triangular.to_json(),
-        }
-
-    def _coefficients(self) -> dict[str, dict[str, float | None]]:
-        rows = zip(COEFFICIENTS, self.block.vector, self.u, self.u_readings, self.U, self.dof, strict=True)
-        return {
-            name: {
-                "value": float(value),
-                "u": float(u),
-                "u_readings": float(own),
-                "U": float(expanded),
-                "k": COVERAGE_FACTOR,
-                "dof": finite_or_none(float(dof)),
-            }
-            for name, value, u, own, expanded, dof in rows
-        }
-
-    def _per_ms2(self) -> dict[str, Any]:
-        """K in unit/(m/s^2), from K per g by the g that is stated, with its uncertainty."""
-        values = self.block.vector[:9]
-        u = np.hypot(self.u[:9], values * self.gravity_u) / self.g_m_s2
-        scale = values_with_u(values / self.g_m_s2, u)
-        return {"unit": f"{self.unit}/(m/s^2)", **scale}
-
-    def _free_json(self) -> dict[str, Any] | None:
-        if self.free is None:
-            return None
-        rows = zip(self.free.installation, self.free.pass_number, self.free.point, strict=True)
-        return {
-            "used": len(self.free),
-            "rms_g": rms(self.modulus_error),
-            "rms_g_without_outliers": self.modulus_rms_g,
-            "rows": [
-                {"installation": str(i), "pass": int(p), "point": int(t), "delta_g": float(e)}
-                for (i, p, t), e in zip(rows, self.modulus_error, strict=True)
-            ],
-        }
-
-    def _setting_limits_arcsec(self) -> list[float | None] | None:
-        limits = self.noise.setting_limits_rad
-        return None if limits is None else [finite_or_none(limit / ARCSEC) for limit in limits]

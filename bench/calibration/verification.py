@@ -1,21 +1,18 @@
-"""The paper's check (9)-(10): |a| = g at the verification points, and its verdict in words."""
+"""The paper's check (9)-(10): |a| = g at the verification points."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bench.base.arrays import Floats
-from bench.base.numbers import finite_or_none
 from bench.calibration.conformity import (
     NON_BINARY,
-    SIMPLE,
     DecisionRule,
     GlobalRisk,
     Known,
@@ -78,26 +75,6 @@ class VerificationPoint:
     def p_false_reject(self) -> float | None:
         """Probability of a false rejection; None where it is not rejected."""
         return 1.0 - self.p_outside if self.rejected else None
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the point as it was promised."""
-        return {
-            "angle_deg": self.angle_deg,
-            "pass": self.pass_number,
-            "point": self.point,
-            "g_p": self.g_p,
-            "delta_g": self.delta_g,
-            "u": self.u,
-            "U": self.U,
-            "k": self.k,
-            "dof": finite_or_none(self.dof),
-            "tur": finite_or_none(self.tur),
-            "accepted_up_to": self.accepted_up_to,
-            "passed": self.passed,
-            "statement": str(self.statement),
-            "p_false_accept": self.p_false_accept,
-            "p_false_reject": self.p_false_reject,
-        }
 
 
 @dataclass(frozen=True)
@@ -234,27 +211,6 @@ class Verification:
         point = max(self.points, key=lambda p: p.U)
         return global_risk(self.population, point.u, self.limit_g, point.accepted_up_to, point.dof)
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised result."""
-        of_all, accepted = self.global_risk, self.passed or self.left_open
-        return {
-            "limit_g": self.limit_g,
-            **self.decision.to_json(),
-            "passed": self.passed,
-            "statement": str(self.statement),
-            "missing": self.missing,
-            "U": self.expanded,
-            "tur": finite_or_none(self.tur),
-            "p_false_accept": self.p_outside if accepted else None,
-            "p_false_accept_worst": self.p_outside_worst if accepted else None,
-            "p_false_reject": 1.0 - self.p_outside if self.rejected else None,
-            "global_risk": None
-            if of_all is None or self.population is None
-            else {**vars(of_all), "population": vars(self.population)},
-            "points": [point.to_json() for point in self.points],
-            "covariance": self.covariance.tolist(),
-        }
-
 
 def verify(
     readings: Readings,
@@ -340,165 +296,9 @@ def modulus_slopes(force: Floats, block: Block) -> tuple[Floats, Floats]:
     return np.concatenate([by_k, -by_signal], axis=1), by_signal
 
 
-HEADLINES: Final = {
-    Statement.PASS: "passed",
-    Statement.CONDITIONAL_PASS: "conditional pass",
-    Statement.CONDITIONAL_FAIL: "conditional fail",
-    Statement.INCONCLUSIVE: "inconclusive",
-    Statement.NOT_COMPLETE: "not complete",
-    Statement.FAIL: "failed",
-}
-"""What the verdict on a whole verification is called."""
-
-_LEAST_SHOWN: Final = 1e-4
-_MOST: Final = 2
-"""So many contributions to u are named."""
-
-
-def headline(result: Verification, *, upper: bool = False) -> str:
-    """Return the verdict in a word or two; of a conditional pass, whether the rule accepts it."""
-    word = HEADLINES[result.statement]
-    word = word.upper() if upper else word
-    if result.statement is Statement.CONDITIONAL_PASS:
-        left_open = "for the customer to accept" if result.left_open else "not accepted"
-        return f"{word}, {'accepted' if result.passed else left_open}"
-    return word
-
-
 def by_rule(statement: Statement, rule: str, *, passed: bool) -> Statement:
     """Return a statement as its rule makes it: a binary one knows pass and fail, and nothing conditional."""
     conditional = statement in {Statement.CONDITIONAL_PASS, Statement.CONDITIONAL_FAIL}
     if rule == NON_BINARY or not conditional:
         return statement
     return Statement.PASS if passed else Statement.FAIL
-
-
-def rule_in_words(rule: DecisionRule) -> str:
-    """Return what a decision rule accepts, with its source."""
-    if rule.name == SIMPLE:
-        return (
-            "accepted when |Δg| ≤ limit at every verification point; no guard band is taken off the limit "
-            "(JCGM 106:2012, 8.2)"
-        )
-    if rule.guard_band is None:
-        band = "w = 1.645 u, or what is 5 % where degrees of freedom, both limits or a population count"
-        sure = f"the probability of a false acceptance is at most 5 % at every verification point ({band})"
-        return (
-            f"accepted when {sure}; what lies between there and the limit is conditional, and the customer's to "
-            "accept (JCGM 106:2012, 8.3.2; ILAC-G8:09/2019)"
-        )
-    times = "" if rule.guard_band == 1.0 else f"{rule.guard_band:g} "
-    accepted = (
-        f"accepted when |Δg| + {times}U ≤ limit at every verification point; a guard band w = {times}U is taken "
-        "off the limit (JCGM 106:2012, 8.3.2; ILAC-G8:09/2019)"
-    )
-    if rule.name != NON_BINARY:
-        return accepted
-    return f"{accepted}; what lies within w of the limit is conditional, and the customer's to accept"
-
-
-def probability_in_words(p: float) -> str:
-    """Return a probability with two digits: "0.012", "< 0.0001"."""
-    if p < _LEAST_SHOWN:
-        return f"< {_LEAST_SHOWN:g}"
-    return f"{p:.2g}" if p < 1.0 - _LEAST_SHOWN else f"> {1.0 - _LEAST_SHOWN:g}"
-
-
-def optional_probability(p: float | None) -> str:
-    """Return a probability with two digits, a dash where there is none."""
-    return "–" if p is None else probability_in_words(p)
-
-
-def risk_in_words(result: Verification) -> str:
-    """Return the specific risk of the decision, of all points together and of the worst; empty without one."""
-    if result.passed or result.left_open:
-        of_all, worst = (probability_in_words(p) for p in (result.p_outside, result.p_outside_worst))
-        single = "" if of_all == worst else f" ({worst} at the worst point)"
-        accepted = " if it is accepted" if result.left_open else ""
-        return f"probability of false acceptance{accepted} {of_all}{single}"
-    if result.rejected:
-        return f"probability of false rejection {probability_in_words(1.0 - result.p_outside)}"
-    return ""
-
-
-def verdict_line(name: str, result: Verification) -> str:
-    """Return the verdict on what is called `name` in one line."""
-    worst = result.worst
-    facts = [
-        f"worst |Δg| = {abs(worst.delta_g) * 1e6:.1f} µg ± {worst.U * 1e6:.1f} µg (U, k = {worst.k:.3g})",
-        f"limit {result.limit_g * 1e6:.4g} µg",
-        f"rule: {result.decision.words}",
-        f"TUR {result.tur:.2g}",
-        risk_in_words(result),
-        f"{result.missing} verification points are missing" if result.missing else "",
-    ]
-    return f"{name}: {headline(result, upper=True)}: {', '.join(fact for fact in facts if fact)}"
-
-
-def advice(result: Verification) -> tuple[str, ...]:
-    """Return what the statements mean and what can be done, a sentence each."""
-    number = {s: sum(p.statement is s for p in result.points) for s in Statement}
-    sentences = {
-        Statement.FAIL: (
-            "beyond the limit by more than the guard band: 'bench diagnose' tells what is wrong with block, stand "
-            "or procedure"
-        ),
-        Statement.INCONCLUSIVE: (
-            f"inconclusive: U, up to {result.expanded * 1e6:.0f} µg, is larger than the limit of "
-            f"{result.limit_g * 1e6:.4g} µg, so nothing can be said safely, neither that the block "
-            "conforms nor that it does not; more passes, a better voltmeter or a better known stand make U "
-            "smaller, and 'bench budget' says what makes most of it"
-        ),
-        Statement.CONDITIONAL_FAIL: (
-            "beyond the limit by less than the guard band: the block may conform all the same; a smaller U "
-            "tells, and 'bench budget' says what makes most of it"
-        ),
-        Statement.CONDITIONAL_PASS: (
-            "within the limit by less than the guard band: the block may not conform all the same; a smaller U "
-            "tells, and 'bench budget' says what makes most of it"
-        ),
-    }
-    of = f"of {len(result.points)} verification points"
-    found = [f"{number[s]} {of} {sentence}" for s, sentence in sentences.items() if number[s]]
-    if result.missing:
-        found.append(
-            f"{result.missing} verification points are missing, and nothing is accepted without them: "
-            "measure them, too"
-        )
-    return (*found, *_to_pass(result))
-
-
-def _to_pass(result: Verification) -> Iterator[str]:
-    """Say what would make it pass, and what makes most of u at the point that is furthest from it."""
-    needed = result.to_pass
-    if needed is None:
-        return
-    point = needed.point
-    at = result.points.index(point)
-    parts = {name: math.sqrt(max(part[at, at], 0.0)) for name, part in result.contributions.items()}
-    most = sorted(parts, key=lambda name: -parts[name])[:_MOST]
-    of_which = ", ".join(f"{name.replace('_', ' ')} {parts[name] * 1e6:.0f} µg" for name in most)
-    of_which = f" ({of_which})" if most else ""
-    smaller = (
-        "no smaller u makes it pass"
-        if needed.u_times is None
-        else f"u(Δg) up to {needed.u_times * point.u * 1e6:.3g} µg"
-    )
-    yield (
-        f"to pass: {smaller} at pass {point.pass_number} point {point.point}, where it is {point.u * 1e6:.3g} µg"
-        f"{of_which}; or a limit from {math.ceil(needed.limit_g * 1e6)} µg, if that is agreed"
-    )
-
-
-def global_risk_in_words(result: Verification) -> tuple[str, ...]:
-    """Return what the rule does to all blocks of the stated population, nothing where none is stated."""
-    risk, population = result.global_risk, result.population
-    if risk is None or population is None:
-        return ()
-    return (
-        f"of all blocks with Δg of mean {population.mean * 1e6:.3g} µg and standard deviation "
-        f"{population.standard_deviation * 1e6:.3g} µg, as stated, this check accepts "
-        f"{probability_in_words(risk.false_accept)} without conforming and does not accept "
-        f"{probability_in_words(risk.false_reject)} that conform (global risks, at the largest U); the risks of "
-        "this block are those of one of them that was measured so (JCGM 106:2012, A.4)",
-    )

@@ -19,7 +19,6 @@ from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.conformity import DecisionRule
 from bench.calibration.derived import INVERSE, MISALIGNMENTS
-from bench.calibration.verification import global_risk_in_words
 from bench.certificate.content import (
     Certificate,
     Condition,
@@ -39,15 +38,17 @@ from bench.model.geometry import COEFFICIENTS
 from bench.readings.columns import current_column, rails_of, voltage_column
 from bench.readings.csv import format_csv
 from bench.readings.table import CHAMBER_C, TEMPERATURE_SOURCE, VERIFICATION, Readings
+from bench.results.parts import coefficient_unit
+from bench.results.verification import global_risk_in_words
 from bench.run.events import ENDED
 from bench.run.folder import IMPORTED, Run
 from bench.run.seal import read_seal, seal_of
 from bench.services.bench_selection import origin_beside
-from bench.services.calibration import CalibrationResult, calibration_of, coefficient_unit
+from bench.services.calibration import CalibrationResult, calibration_of, verification_of
 from bench.services.errors import Refused
-from bench.services.provenance import record_head
+from bench.services.records import record_head
 from bench.services.source import Request, Source, load_sources
-from bench.services.verification import NOTHING_ASKED, Asked, VerificationResult, verification_of
+from bench.services.verification import NOTHING_ASKED, Asked, VerificationResult
 
 _FIRST_LANGUAGE: Final = "en"
 

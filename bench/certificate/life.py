@@ -17,8 +17,7 @@ from bench.certificate.content import Before, Certificate, Issue
 from bench.certificate.gather import certificate_of, issued_at, missing
 from bench.certificate.laboratory import Laboratory, Order, Person, laboratory_of
 from bench.certificate.register import ISSUED, REVOKED, Entry, Register, Standing, opened
-from bench.services.errors import Refused
-from bench.services.explained import sentence
+from bench.services.errors import Refused, sentence
 
 if TYPE_CHECKING:
     from bench.certificate.dcc.rules import Schemas

@@ -79,7 +79,7 @@ def _command_in(given: list[str]) -> str:
 
 def explain(error: Exception, command: str = "bench") -> str:
     """Return the sentence for an error; one that nobody foresaw names the command, and how to see more."""
-    from bench.services.explained import expected, kind_and_words, sentence
+    from bench.services.errors import expected, kind_and_words, sentence
 
     if isinstance(error, typer.TyperException):
         return error.format_message()  # with the option's name

@@ -56,8 +56,7 @@ def calibrate(
     """Coefficients with uncertainty from runs or readings files; exit status 1 where they do not fit."""
     from bench.calibration.estimators import GLS, find_estimator
     from bench.services.calibration import calibration_of
-    from bench.services.each import done, each, load_each
-    from bench.services.source import Request
+    from bench.services.source import Request, done, each, load_each
 
     printing.check_target(json)
     loaded = load_each(Request(sources, runs, bench, model, g, out, skip_bad_rows))

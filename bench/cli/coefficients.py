@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from bench.base.arrays import Floats
     from bench.exchange.result import BlockResult, Row
-    from bench.services.documents import Given
+    from bench.services.compensation import Given
 
 
 @app.command(epilog="Example: bench coefficients unit-17 --as c --as px4")
@@ -62,7 +62,8 @@ def coefficients(
     runs: RunsOption = RUNS,
 ) -> int:
     """What a computer takes: N = K⁻¹, misalignments; as JSON, CSV, C, Excel, for Kalibr, PX4, ArduPilot."""
-    from bench.services.documents import forms_of, nominal_of, results_of
+    from bench.services.coefficients import forms_of, nominal_of
+    from bench.services.compensation import results_of
     from bench.services.source import Request
 
     printing.check_target(json)

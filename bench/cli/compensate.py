@@ -59,7 +59,8 @@ def compensate(
     """Coefficients as polynomials in temperature; tables (C, CSV, JSON) for a computer on board."""
     from bench.calibration.temperature.estimate import temperature_model
     from bench.calibration.temperature.table import make_table, table_json
-    from bench.calibration.verification import verdict_line
+    from bench.results.parts import uncertainty_source
+    from bench.results.verification import verdict_line, verdict_part
     from bench.services.compensation import sign_model
     from bench.services.source import Request, load_sources
 
@@ -83,9 +84,9 @@ def compensate(
     result = {
         **model.to_json(),
         "covariance_readings": shown.covariance.tolist(),
-        "uncertainty_sources": [source.to_json() for source in signed.sources],
+        "uncertainty_sources": [uncertainty_source(source).to_dict() for source in signed.sources],
         "table": table_json(table),
-        "verification": [{"temperature_c": t, **check.to_json()} for t, check in checks],
+        "verification": [{"temperature_c": t, **verdict_part(check).to_dict()} for t, check in checks],
         "sources": names,
         "bench": first.taken.to_dict(),
         "corrections": [one for source in loaded for one in source.traced.to_json()],

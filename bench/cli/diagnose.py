@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from bench.diagnosis.mistakes.search import Mistake
     from bench.readings.table import Readings
     from bench.services.diagnosis import Body
-    from bench.services.each import Failed
-    from bench.services.source import Request, Source
+    from bench.services.source import Failed, Request, Source
 
 
 @app.command(epilog="Example: bench diagnose unit-17 --json diagnosis.json")
@@ -78,9 +77,8 @@ def diagnose(
     one_thread()
     from bench.cli.free import diagnosed_free
     from bench.diagnosis.full import TooLittleLeft
-    from bench.services.each import done, load_each
     from bench.services.free_diagnosis import free_sources
-    from bench.services.source import Request, load_sources
+    from bench.services.source import Request, done, load_each, load_sources
 
     printing.check_target(json)
     request = Request(sources, runs, bench, model, g, out, skip_bad_rows)
@@ -137,9 +135,8 @@ def diagnosed(
     `loaded` are the sources where they have been read already.
     """
     from bench.services.diagnosis import body_of
-    from bench.services.each import Failed, done
     from bench.services.own_effects import knowing_effects_of
-    from bench.services.source import check_places, load_sources
+    from bench.services.source import Failed, check_places, done, load_sources
 
     printing.check_target(target)
     check_places(request)
@@ -197,8 +194,7 @@ def _one_of_several(
     from bench.config.formulas import effects_in, files_of_environment
     from bench.model import CATALOGUE
     from bench.services.diagnosis import body_of
-    from bench.services.each import attempted
-    from bench.services.source import load_sources
+    from bench.services.source import attempted, load_sources
 
     def work() -> FullDiagnosis:
         body = body_of(load_sources(replace(request, sources=[name])))

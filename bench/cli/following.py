@@ -15,8 +15,7 @@ from bench.diagnosis.next_measurement import Proposal
 from bench.run.folder import Run
 from bench.run.person import YES, ask
 from bench.run.terminal import TerminalPerson
-from bench.services.each import done
-from bench.services.source import Request
+from bench.services.source import Request, done
 from drivers.interfaces import NoAnswer
 from drivers.person import Prompt, PromptKind
 

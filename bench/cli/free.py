@@ -12,9 +12,8 @@ from bench.cli.diagnose import not_written, unused
 
 if TYPE_CHECKING:
     from bench.model import AppliedEffect
-    from bench.services.each import Failed
     from bench.services.free_diagnosis import FreeDiagnosisResult
-    from bench.services.source import Source
+    from bench.services.source import Failed, Source
 
 
 def diagnosed_free(
@@ -27,8 +26,8 @@ def diagnosed_free(
     report: bool | None,
 ) -> list[FreeDiagnosisResult | Failed]:
     """Diagnose sources of free positions, each by itself or all `together`; print, write JSON to `target`."""
-    from bench.services.each import done, each
     from bench.services.free_diagnosis import free_diagnosis_of
+    from bench.services.source import done, each
 
     printing.bench_files(done(loaded), target)
     page = (together or len(loaded) == 1) if report is None else report

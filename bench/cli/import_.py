@@ -28,7 +28,7 @@ def import_(
     from bench.run.record import Record
     from bench.services.bench_selection import SUFFIX, bench_of, origin_beside
     from bench.services.errors import Refused
-    from bench.services.provenance import versions
+    from bench.services.records import versions
     from drivers.clock import utc_now
 
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 from collections.abc import Iterable, Sequence
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.calibration import Calibration, Noise
     from bench.services.bench_selection import BenchTaken
     from bench.services.calibration import CalibrationResult
     from bench.services.source import Source
@@ -59,9 +57,9 @@ def notes_aside(notes: Iterable[str]) -> None:
 
 def notes_on(out: Console, notes: Iterable[str]) -> None:
     """Print notes among a result; `--quiet` leaves them to the JSON and the page."""
-    if not quiet.get():
-        for note in notes:
-            out.print(f"note: {note}")
+    from bench.base.tables import print_notes
+
+    print_notes(out, notes)
 
 
 # --- results as JSON and in files -------------------------------------------------------------------
@@ -88,7 +86,7 @@ def write_json(results: list[dict[str, Any]], target: str | None) -> None:
 
 def failed(results: Sequence[object]) -> bool:
     """Say which of several sources could not be evaluated, a line each; return whether there is any."""
-    from bench.services.each import failures
+    from bench.services.source import failures
 
     found = failures(results)
     if len(found) > 1 and len({one.problem for one in found}) == 1:
@@ -161,72 +159,17 @@ def bench_files(sources: Sequence[Source], json: str | None) -> None:
 
 
 def calibration(result: CalibrationResult, file: Path | None, out: Console | None = None) -> None:
-    """Print the coefficients, the noise, the fit, and doubts that the block is the one announced."""
-    from bench.base.numbers import scale_for
-    from bench.calibration.estimators import find_estimator
-
+    """Print the coefficients, the noise, the fit, and where they were written."""
     out = out or console()
-    found = result.calibration
-    out.print(result.headline())
-    out.print(f"U = K a + U0, a the specific force in g (+1 g on an upward axis), U in {found.unit}")
-    out.print(result.table())
-    if found.sources:
-        out.print(result.sources_table())
-    fit = found.lack_of_fit
-    noise = found.noise
-    scale = scale_for(noise.reading, found.unit)
-    setting = f", setting of the head {math.degrees(noise.setting_rad) * 3600:.2g} arcsec{_limits(noise)}"
-    out.print(
-        f"noise (1 sigma, from {noise.source}): reading {noise.reading / scale.size:.3g} {scale.unit}"
-        + (setting if len(found.fitted) else "")
-    )
-    if math.isfinite(fit.p):
-        verdict = (
-            "none shown at 1 %" if fit.p >= 0.01 else f"THE MODEL DOES NOT FIT the readings{_widened(found)}"
-        )
-        out.print(
-            f"lack of fit against the repeats: chi2 {fit.chi2:.1f} for {fit.dof}, p = {fit.p:.2g}: {verdict}"
-        )
-    else:
-        out.print("lack of fit: too few repeats to tell")
-    for name, value in found.effects.items():
-        out.print(f"effect {name} = {value.value:.4g} ± {value.u:.2g} {value.unit}")
-    if find_estimator(found.estimator).drops_outliers and not found.outliers:
-        out.print("outliers: none found")
-    for outlier in found.outliers:
-        out.print(f"outlier: {outlier.text()}; it has no weight")
-    if found.free is not None:
-        without = ", without the outliers" if found.outliers else ""
-        rms_ug = found.modulus_rms_g * 1e6
-        out.print(f"modulus of the free readings: {rms_ug:.3g} µg root mean square from 1 g{without}")
-    notes_on(out, result.notes)
-    for sentence in found.assumed:
-        out.print(f"assumed: {sentence}")
+    result.print_on(out)
     if file is not None:
         written("result", file, out)
-
-
-def _widened(found: Calibration) -> str:
-    """What the misfit has done to u: it never stays as it was."""
-    how = (
-        f"u is {found.birge:.2g} times that of the noise" if found.birge > 1 else "u holds what repeats share"
-    )
-    return f"; {how}" if found.birge > 1 or found.shared else ""
-
-
-def _limits(noise: Noise) -> str:
-    """Between which values the setting error lies, where the repeats tell."""
-    if noise.setting_limits_rad is None:
-        return ""
-    low, high = (math.degrees(limit) * 3600 for limit in noise.setting_limits_rad)
-    return f" (95 %: {low:.2g} to {high:.2g})"
 
 
 def verification(result: VerificationResult, file: Path | None, out: Console | None = None) -> None:
     """Print Δg at each verification point and the verdict."""
     out = out or console()
-    out.print(result.table())
-    notes_on(out, result.notes)
+    result.print_on(out)
     if file is not None:
         written("result", file, out)
     out.print(result.verdict(), style="bold")
@@ -237,7 +180,7 @@ def report(
 ) -> tuple[VerificationResult | None, Path]:
     """Write the page of a calibration; return the verification that is in it, and the file. Raises `OSError`."""
     from bench.base.files import write_whole
-    from bench.services.documents import report_page
+    from bench.services.calibration import report_page
     from bench.services.verification import NOTHING_ASKED
 
     page, verdict = report_page(result, asked or NOTHING_ASKED)

@@ -42,6 +42,7 @@ def report(
     runs: RunsOption = RUNS,
 ) -> int:
     """Write the report of a run: one HTML page."""
+    from bench.results.verification import ReportResult
     from bench.services.calibration import calibration_of
     from bench.services.errors import Refused
     from bench.services.source import Request, load_sources
@@ -63,7 +64,10 @@ def report(
     if verdict is not None:
         printing.notes_on(on, verdict.sentences)
         on.print(verdict.verdict(), style="bold")
-    bench_taken = loaded.taken.to_dict()
-    written = {"report": str(page), "bench": bench_taken, "verification": verdict and verdict.to_dict()}
-    printing.write_json([written], json)
+    written = ReportResult(
+        report=str(page),
+        bench=loaded.taken.part(),
+        verification=None if verdict is None else verdict.result(),
+    )
+    printing.write_json([written.to_dict()], json)
     return 0 if result.accepted and (verdict is None or verdict.passed) else 1

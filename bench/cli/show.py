@@ -38,8 +38,7 @@ def show(
 ) -> int:
     """Show what a run holds: inputs, events, readings."""
     from bench.run.folder import find_run
-    from bench.services.provenance import record_head
-    from bench.services.records import proof_of, run_summary, supply_in_words
+    from bench.services.records import proof_of, record_head, run_summary, supply_in_words
 
     found = find_run(run, runs)
     verify = verify or any(given is not None for given in (head, key, authority))

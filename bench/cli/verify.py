@@ -45,9 +45,9 @@ def verify(
     runs: RunsOption = RUNS,
 ) -> int:
     """Δg at the verification points against the limit; exit status 1 unless all are accepted."""
-    from bench.services.each import done, each, load_each
-    from bench.services.source import Request
-    from bench.services.verification import Asked, verification_of
+    from bench.services.calibration import verification_of
+    from bench.services.source import Request, done, each, load_each
+    from bench.services.verification import Asked
 
     printing.check_target(json)
     asked = Asked(limit, rule, guard_band, population)

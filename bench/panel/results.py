@@ -138,7 +138,7 @@ def is_plain(path: Path) -> bool:
 
 
 def _in_words(probability: Any) -> str:
-    from bench.calibration.verification import optional_probability  # takes long to import
+    from bench.results.verification import optional_probability  # takes long to import
 
     return optional_probability(None if probability is None else float(probability))
 

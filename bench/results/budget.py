@@ -24,13 +24,13 @@ from bench.calibration.budget.assessment import Assessment
 from bench.calibration.budget.coefficients import Contribution
 from bench.calibration.budget.propagation import correlation_of, coverage_factor
 from bench.calibration.conformity import DecisionRule
-from bench.calibration.verification import rule_in_words
 from bench.model.geometry import COEFFICIENTS
 from bench.results import tables
 from bench.results.parts import BenchPart
 from bench.results.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, drawn, svg_figure, symbol
 from bench.results.tables import Row
 from bench.results.template import page
+from bench.results.verification import rule_in_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

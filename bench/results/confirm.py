@@ -8,9 +8,9 @@ from typing import Literal
 from pydantic import Field
 from rich.console import Console
 
-from bench.base.computing import quiet
 from bench.base.numbers import typeset
 from bench.base.result_model import Real, ResultModel
+from bench.base.tables import print_notes
 from bench.diagnosis.confirm import Confirmation, EffectNow
 from bench.diagnosis.gap import FLOOR
 from bench.results.diagnosis import words
@@ -131,9 +131,7 @@ def confirm_result(
 
 def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], out: Console) -> None:
     """Print what became of the effects of a model in new readings, and the one number."""
-    for note in notes:
-        if not quiet.get():
-            out.print(f"note: {note}")
+    print_notes(out, notes)
     for effect in found.effects:
         for line in words.effect_now_in_words(effect):
             out.print(line)

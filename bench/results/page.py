@@ -13,16 +13,10 @@ from markupsafe import Markup
 from bench.base.numbers import probability, rounded, scale_for, uncertainty
 from bench.calibration.conformity import Statement
 from bench.calibration.result import Calibration, LackOfFit
-from bench.calibration.verification import (
-    Verification,
-    advice,
-    global_risk_in_words,
-    headline,
-    risk_in_words,
-    rule_in_words,
-)
+from bench.calibration.verification import Verification
 from bench.results import plots, tables
 from bench.results.template import page
+from bench.results.verification import advice, global_risk_in_words, headline, risk_in_words, rule_in_words
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,17 @@
-"""Parts that several results have."""
+"""Parts that several results have, each described once."""
 
 from __future__ import annotations
 
+from typing import Any
+
 from pydantic import Field
 
-from bench.base.result_model import ResultModel
+from bench.base.arrays import CHANNELS, Floats, u_of
+from bench.base.result_model import Real, ResultModel
+from bench.calibration.result import SourceOfError
+from bench.model.geometry import COEFFICIENTS
+
+# --- what a result is made from ---------------------------------------------------------------------
 
 
 class BenchPart(ResultModel):
@@ -37,3 +44,121 @@ class CorrectionPart(ResultModel):
     correction: str = Field(description="what is added to what the instrument shows; empty for nothing")
     applied: bool = Field(description="whether the readings were corrected by it")
     why_not: str = Field(description="why not, in words; empty where they were")
+
+
+class UnitPart(ResultModel):
+    """The unit under test: a block."""
+
+    type: str = Field(description="what it is")
+    serial: str = Field(description="its serial number")
+
+
+class RecordPart(ResultModel):
+    """By what the record of a run can be known again."""
+
+    events: int
+    head: str = Field(description="SHA-256 of the last line: the head of the chain of hashes")
+
+
+class FailedPart(ResultModel):
+    """A source that could not be evaluated. It stands in the list of results in the place of its result."""
+
+    source: str = Field(description="as it was named on the command line")
+    problem: str = Field(description="why, in a sentence")
+
+
+# --- estimates --------------------------------------------------------------------------------------
+
+
+class ValuePart(ResultModel):
+    """A value with its standard uncertainty."""
+
+    value: float = Field(description="the estimate")
+    u: float = Field(description="its standard uncertainty")
+
+
+class EstimatePart(ValuePart):
+    """An estimate of a parameter."""
+
+    unit: str
+    told_by_data: bool = Field(description="whether the readings made it better known than it was before")
+
+
+class ExpandedPart(ValuePart):
+    """A value with its expanded uncertainty."""
+
+    U: float = Field(description="expanded uncertainty, k u")
+    unit: str
+
+
+class CoefficientPart(ValuePart):
+    """One of the twelve coefficients, in unit/g or unit; its `u` is the combined one."""
+
+    u_readings: float = Field(description="the part that the readings and the stand as it is stated show")
+    U: float = Field(description="expanded uncertainty, k u")
+    k: float
+    dof: Real = Field(description="effective degrees of freedom, for which u is widened; null: infinite")
+
+
+class FitPart(ResultModel):
+    """Lack of fit against the repeats."""
+
+    rms: Real = Field(description="root mean square of the residuals, unit of the signal")
+    chi2: Real
+    dof: int
+    p: Real = Field(description="probability of a chi-square at least as large")
+
+
+class ReadingsPart(ResultModel):
+    """How many readings there were."""
+
+    used: int = Field(description="in the fit")
+    skipped: int = Field(description="bad rows left out")
+
+
+class ChannelsPart(ResultModel):
+    """A size for each channel."""
+
+    x: float
+    y: float
+    z: float
+
+
+class UncertaintySourcePart(ResultModel):
+    """An error in u that no reading shows."""
+
+    name: str = Field(description="as in `bench budget`")
+    symbol: str
+    size: str = Field(description="standard uncertainty in words")
+    origin: str = Field(description="where the size is from")
+    prior: bool = Field(description="whether nobody stated it for this bench")
+    dof: Real = Field(description="degrees of freedom; null: infinite")
+    u: dict[str, float] = Field(description="what it adds to each coefficient")
+    cancels_with_the_same_meters: bool
+
+
+def uncertainty_source(source: SourceOfError) -> UncertaintySourcePart:
+    """Return an error that no reading shows, as results have it."""
+    u = named(u_of(source.covariance))
+    return UncertaintySourcePart.from_object(source, u=u, cancels_with_the_same_meters=source.cancels)
+
+
+def named(values: Floats) -> dict[str, float]:
+    """Return values (12,) by the names of the coefficients."""
+    return dict(zip(COEFFICIENTS, values.tolist(), strict=True))
+
+
+def values_with_u(values: Floats, u: Floats) -> dict[str, Any]:
+    """Return the first of the twelve coefficients (m,) by name, each with its standard uncertainty."""
+    rows = zip(COEFFICIENTS, values.tolist(), u.tolist(), strict=False)
+    return {name: {"value": value, "u": size} for name, value, size in rows}
+
+
+def by_channel(values: Floats) -> dict[str, float]:
+    """Return values (3,) by the names of the channels."""
+    return dict(zip(CHANNELS, values.tolist(), strict=True))
+
+
+def coefficient_unit(name: str, unit: str) -> str:
+    """Return the unit of a coefficient for signals in `unit`."""
+    return unit if name.startswith("U0") else f"{unit}/g"

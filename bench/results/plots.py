@@ -8,6 +8,7 @@ a colour says, a shape or a word says too.
 from __future__ import annotations
 
 import io
+import logging
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+
+# where its folder for settings cannot be made it goes on without, and nobody who reads a page need know
+logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
 PURPLE, ORANGE, GREY = "#CC79A7", "#E69F00", "#5F6B76"

@@ -9,6 +9,7 @@ from bench.base.result_model import ResultModel
 
 RESULTS: Final = {
     "budget": "budget.BudgetResult",
+    "calibrate": "calibration.CalibrateResult",
     "check": "check.CheckResult",
     "batch": "batch.BatchResult",
     "catalogue-ask": "catalogue.AskResult",
@@ -17,7 +18,10 @@ RESULTS: Final = {
     "catalogue-unit": "catalogue.UnitResult",
     "confirm": "confirm.ConfirmResult",
     "plan-points": "planning.PlanPointsResult",
+    "report": "verification.ReportResult",
     "require": "planning.RequireResult",
+    "source-failed": "parts.FailedPart",
+    "verify": "verification.VerifyResult",
 }
 """The model of each result, as module of this room and class, by the name of its schema."""
 

@@ -14,10 +14,10 @@ from bench.base.numbers import aligned, concise, fixed, places, quantity, rounde
 from bench.calibration import Calibration, Estimate, Noise, Verification
 from bench.calibration.budget.propagation import correlation_of
 from bench.calibration.design import SYMBOLS
-from bench.calibration.verification import optional_probability
 from bench.model.effects import CATALOGUE
 from bench.model.geometry import COEFFICIENTS
 from bench.results.plots import residual_scale
+from bench.results.verification import optional_probability
 
 MEANINGS: Final = {
     "axis_tilt": "axis tilt",

@@ -15,8 +15,7 @@ from bench.base.text import shortened, visible
 from bench.config.bench_file.file import BenchFile
 from bench.readings.table import Readings
 from bench.services.bench_selection import BenchTaken
-from bench.services.errors import Refused
-from bench.services.explained import sentence
+from bench.services.errors import Refused, sentence
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -1,62 +1,48 @@
-"""From readings to coefficients, alone or with what the units of a type tell."""
+"""From readings to coefficients and what is made of them: with a prior, verified, on a page."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
-from bench.base.arrays import Floats, u_of
+from bench.base.arrays import Floats
 from bench.base.files import write_whole
-from bench.base.numbers import fixed, places, scale_for, uncertainty
-from bench.base.tables import as_html, as_text, table
+from bench.base.tables import as_html, as_text
 from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate as estimate
-from bench.calibration.estimators import GLS
+from bench.calibration.conformity import DecisionRule
+from bench.calibration.estimators import CLOSED_FORM, GLS
 from bench.calibration.mistakes import implausible
-from bench.calibration.result import COVERAGE_FACTOR, Calibration
+from bench.calibration.result import COVERAGE_FACTOR, Calibration, CalibrationError
 from bench.calibration.signal_units import refuse_mixed_units, sheet_of
 from bench.calibration.temperature.plateaus import separate_temperatures
 from bench.config.prior_file import PriorFile, load_prior
 from bench.exchange.result import BlockResult
 from bench.history.equivalence import STANDARD_GRAVITY
-from bench.history.prior import CONFLICT_P, Joined, Prior, join
+from bench.history.prior import CONFLICT_P, Prior, join
 from bench.model.geometry import COEFFICIENTS, Block
-from bench.services.coefficients import Coefficients, block_result
+from bench.results.calibration import (
+    PriorPart,
+    calibrate_result,
+    coefficients_table,
+    headline,
+    print_calibration,
+)
+from bench.results.parts import coefficient_unit, named
+from bench.services.coefficients import Coefficients, block_result, read_coefficients, write_form
 from bench.services.errors import Refused
-from bench.services.provenance import record_head
-from bench.services.source import Source
+from bench.services.own_effects import knowing_effects_of
+from bench.services.records import record_head
+from bench.services.source import Source, provenance
+from bench.services.verification import NOTHING_ASKED, Asked, VerificationResult, judged, own_judgement
 
-
-@dataclass(frozen=True)
-class PriorTaken:
-    """A prior that a calibration was held against, and what became of it; `alone_u` is u without it, (12,)."""
-
-    file: str
-    prior: Prior
-    joined: Joined
-    notes: tuple[str, ...]
-    alone_u: tuple[float, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "file": self.file,
-            "type": self.prior.kind,
-            "units": len(self.prior.units),
-            "dof": self.prior.dof,
-            "used": self.joined.used,
-            "chi2": self.joined.chi2,
-            "p": self.joined.p,
-            "pull": dict(zip(COEFFICIENTS, self.joined.pull.tolist(), strict=True)),
-            "u_without": dict(zip(COEFFICIENTS, self.alone_u, strict=True)),
-        }
+SEVERAL_TEMPERATURES: Final = 3
 
 
 def read_prior(path: Path) -> Prior:
@@ -83,19 +69,20 @@ def read_prior(path: Path) -> Prior:
     )
 
 
-def with_prior(found: Calibration, source: Source, path: Path) -> tuple[Calibration, PriorTaken]:
-    """Return a calibration joined with a prior of its unit's type, and what became of the prior.
+def with_prior(
+    found: Calibration, source: Source, path: Path
+) -> tuple[Calibration, PriorPart, tuple[str, ...]]:
+    """Return a calibration joined with a prior of its unit's type, what became of the prior, and notes.
 
-    Where readings and prior disagree the calibration stands as it was, and says so. Raises `Refused` for a prior
-    of another type, signal or kind of instruments, or one that has the unit itself behind it.
+    Where readings and prior disagree the calibration stays as it was, and a note says so. Raises `Refused` for a
+    prior of another type, signal or kind of instruments, or one that has the unit itself behind it.
     """
     prior = read_prior(path)
-    unit = source.bench.unit_under_test
     _refuse_other(prior, found, source, path)
     alike = found.covariance - found.covariance_readings
     joined = join(found.block.vector, found.covariance_readings, alike, prior, found.g_m_s2)
     notes = []
-    if not unit.serial:
+    if not source.bench.unit_under_test.serial:
         notes.append(
             f"which unit this is was not recorded: that it is none of the {len(prior.units)} behind {path} is "
             "taken for granted"
@@ -112,9 +99,17 @@ def with_prior(found: Calibration, source: Source, path: Path) -> tuple[Calibrat
             f"prior of type {prior.kind} NOT USED: it contradicts the readings (p = {joined.p:.1g}, below "
             f"{CONFLICT_P:g}; {off}); this unit, its mounting or the type is another"
         )
-    taken = PriorTaken(str(path), prior, joined, tuple(notes), tuple(u_of(found.covariance).tolist()))
+    part = PriorPart.from_object(
+        joined,
+        file=str(path),
+        type=prior.kind,
+        units=len(prior.units),
+        dof=prior.dof,
+        pull=named(joined.pull),
+        u_without=named(found.u),
+    )
     if not joined.used:
-        return found, taken
+        return found, part, tuple(notes)
     changed = replace(
         found,
         block=Block.from_vector(joined.vector),
@@ -122,7 +117,7 @@ def with_prior(found: Calibration, source: Source, path: Path) -> tuple[Calibrat
         covariance_readings=joined.covariance - alike,
         gain=np.tensordot(np.eye(len(COEFFICIENTS)) - joined.part, found.gain, axes=1),
     )
-    return changed, taken
+    return changed, part, tuple(notes)
 
 
 def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) -> None:
@@ -146,9 +141,6 @@ def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) 
             f"{path}: {name} is among the units behind it, and would count twice; make one without it: bench fleet "
             f"prior 'type={prior.kind}' 'unit!={name}' --prior-out FILE"
         )
-
-
-SEVERAL_TEMPERATURES = 3
 
 
 @dataclass(frozen=True)
@@ -182,7 +174,8 @@ class CalibrationResult:
 
     source: Source
     calibration: Calibration
-    prior: PriorTaken | None = None
+    prior: PriorPart | None = None
+    of_prior: tuple[str, ...] = ()
 
     @cached_property
     def coefficients(self) -> dict[str, Coefficient]:
@@ -233,11 +226,7 @@ class CalibrationResult:
     @property
     def _said(self) -> tuple[str, ...]:
         fit = self.calibration.lack_of_fit.diagnose(self.source.name)
-        return (*fit, *self.doubts, *self._of_prior, *self.calibration.notes)
-
-    @property
-    def _of_prior(self) -> tuple[str, ...]:
-        return () if self.prior is None else self.prior.notes
+        return (*fit, *self.doubts, *self.of_prior, *self.calibration.notes)
 
     @property
     def accepted(self) -> bool:
@@ -252,26 +241,18 @@ class CalibrationResult:
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench calibrate --json` writes it."""
         source = self.source
-        unit = source.bench.unit_under_test
-        return {
-            **self.calibration.to_json(),
-            "source": source.name,
-            "bench": source.taken.to_dict(),
-            "made_at": source.made_at,
-            "unit_under_test": {"type": unit.type, "serial": unit.serial} if source.block_name else None,
-            "simulated": source.simulated,
-            "meters": list(source.meters),
-            "corrections": source.traced.to_json(),
+        return calibrate_result(
+            self.calibration,
+            **source.made_from(),
             **({} if source.run is None else {"record": record_head(source.run)}),
-            **({} if self.prior is None else {"prior": self.prior.to_json()}),
-            "notes": [*self._said, *source.readings.notes],
-            "skipped_rows": list(source.readings.skipped),
-        }
+            **({} if self.prior is None else {"prior": self.prior}),
+            meters=source.meters,
+            notes=[*self._said, *source.readings.notes],
+            skipped_rows=source.readings.skipped,
+        ).to_dict()
 
     def report(self, path: str | Path) -> None:
         """Write the page (HTML, with everything in it). Raises `OSError`."""
-        from bench.services.documents import report_page
-
         write_whole(Path(path), report_page(self)[0])
 
     @cached_property
@@ -287,72 +268,29 @@ class CalibrationResult:
         `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot"; `nominal` are the scale factors,
         unit/g, by which the last three have the signals in m/s^2. Raises `Refused` for another form, `OSError`.
         """
-        from bench.services.documents import write_form
-
         return write_form(self.derived, Path(path), form, nominal)
 
-    def table(self) -> Table:
-        """Return the coefficients with u, U (k = 2) and u of the readings alone, rounded to two digits of u."""
-        shown = table("coefficient", ">value", ">u", ">U (k=2)", ">u, readings", "")
-        for name, found in self.coefficients.items():
-            if found.value == 0.0 and found.u == 0.0:
-                shown.add_row(name, "0", "", "", "", "by convention")
-                continue
-            digits = places(found.u)
-            sizes = (found.value, found.u, found.U, found.u_readings)
-            shown.add_row(name, *(fixed(size, digits) for size in sizes), found.unit)
-        return shown
-
-    def sources_table(self) -> Table:
-        """Return what the readings do not show and u holds: how large it is, where from, and what it costs."""
-        shown = table("u holds also", ">u", "from", ">most", "in")
-        for source in self.calibration.sources:
-            u = u_of(source.covariance)
-            if not np.any(u > 0):
-                continue
-            j = int(np.argmax(u / self.calibration.u))
-            name = COEFFICIENTS[j]
-            size = scale_for(float(u[j]), "V")
-            per = "" if name.startswith("U0") else "/g"
-            origin = f"{source.origin} (prior)" if source.prior else source.origin
-            cost = f"{uncertainty(float(u[j]) / size.size)} {size.unit}{per}"
-            shown.add_row(source.name.replace("_", " "), source.size, origin, cost, name)
-        return shown
-
-    def headline(self) -> str:
-        """Return a sentence on what was calibrated, and how."""
-        found = self.calibration
-        readings = f"{len(found.fitted)} readings"
-        if found.free is not None:
-            readings += f", {len(found.free)} by their modulus"
-        if found.skipped:
-            readings += f", {found.skipped} bad rows skipped"
-        return (
-            f"Calibration of {self.source.name}: {found.estimator}, model {found.model}, {readings}, "
-            f"local g = {found.g_m_s2:.6g} m/s²"
-        )
-
-    def _below(self) -> list[str]:
-        return [f"bench: {self.bench}", *(f"note: {note}" for note in self.notes)]
+    def print_on(self, out: Console) -> None:
+        """Print the coefficients, the noise, the fit, and what a reader should know."""
+        print_calibration(self.source.name, self.calibration, self.notes, out)
 
     def __repr__(self) -> str:
-        """Return the result as a table with what a reader should know."""
+        """Return the coefficients as a table, with what a reader should know."""
 
         def print_on(out: Console) -> None:
-            out.print(self.headline())
-            out.print(self.table())
+            out.print(headline(self.source.name, self.calibration))
+            out.print(coefficients_table(self.calibration))
             for line in self._below():
                 out.print(line)
 
         return as_text(print_on)
 
     def _repr_html_(self) -> str:
-        return as_html([self.headline()], self.table()) + as_html(self._below())
+        head = headline(self.source.name, self.calibration)
+        return as_html([head], coefficients_table(self.calibration)) + as_html(self._below())
 
-
-def coefficient_unit(name: str, unit: str) -> str:
-    """Return the unit of a coefficient for signals in `unit`."""
-    return unit if name.startswith("U0") else f"{unit}/g"
+    def _below(self) -> list[str]:
+        return [f"bench: {self.bench}", *(f"note: {note}" for note in self.notes)]
 
 
 def calibration_of(
@@ -399,3 +337,62 @@ def _with_note_on_temperatures(source: Source) -> Source:
         "them: see bench compensate"
     )
     return replace(source, readings=replace(source.readings, notes=(*source.readings.notes, note)))
+
+
+# --- what is made of a calibration ------------------------------------------------------------------
+
+
+def verification_of(
+    source: Source,
+    coefficients: Path | CalibrationResult | None = None,
+    asked: Asked = NOTHING_ASKED,
+    agreed: DecisionRule | None = None,
+) -> VerificationResult:
+    """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings.
+
+    By the rule `agreed` where neither the source nor who asks states one.
+    """
+    judgement = own_judgement(source, asked, agreed=agreed)
+    if coefficients is None:
+        coefficients = calibration_of(source)
+        source = coefficients.source
+    if isinstance(coefficients, Path):
+        taken = read_coefficients(coefficients, source.readings.unit)
+        foreign = taken.simulated and not source.simulated
+        warning = f"the coefficients in {coefficients} were found on simulated instruments"
+        return judged(source, judgement, taken, warnings=(warning,) * foreign)
+    own = coefficients.calibration
+    if own.unit != source.readings.unit:
+        raise Refused(f"coefficients in {own.unit}/g, but the readings are in {source.readings.unit}")
+    same = own if coefficients.source is source else None
+    return judged(source, judgement, coefficients.as_coefficients(), same)
+
+
+def report_page(
+    result: CalibrationResult, asked: Asked = NOTHING_ASKED
+) -> tuple[str, VerificationResult | None]:
+    """Verify, where there are verification points; return the page (HTML) and the verification in it."""
+    from bench.results.page import ReportContent, render_report  # matplotlib is slow to import
+
+    source = result.source
+    verdict = verification_of(source, result, asked) if len(source.readings.verification()) else None
+    content = ReportContent(
+        title=f"Calibration of {source.block_name or source.name}",
+        calibration=result.calibration,
+        verification=None if verdict is None else verdict.verification,
+        compared=_closed_form(source),
+        provenance=provenance(source),
+        notes=(*result.doubts, *result.calibration.notes, *source.readings.notes),
+        skipped=source.readings.skipped,
+        simulated=source.simulated,
+    )
+    with knowing_effects_of(source):
+        return render_report(content), verdict
+
+
+def _closed_form(source: Source) -> Calibration | None:
+    """The paper's estimator beside ours, where the readings are such that it applies."""
+    try:
+        return calibration_of(source, CLOSED_FORM).calibration
+    except CalibrationError:
+        return None

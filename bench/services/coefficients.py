@@ -1,4 +1,4 @@
-"""Coefficients of another day, read back, and compared with one another."""
+"""Coefficients of another day, read back; and the forms in which others read them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from typing import Any, Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.base.files import from_text, read_given
+from bench.base.files import from_text, read_given, write_whole
+from bench.base.numbers import read_number
 from bench.base.text import shortened
+from bench.exchange.forms import FORMS
 from bench.exchange.result import BlockResult
 from bench.history.comparison import Snapshot
 from bench.model.geometry import COEFFICIENTS, Block
@@ -328,3 +330,58 @@ def date_of(text: str | None, where: str) -> datetime | None:
     except (ValueError, TypeError):
         raise Refused(f"{where}: expected a date such as 2026-01-31, got {text!r}") from None
     return date if date.tzinfo else date.replace(tzinfo=UTC)
+
+
+# --- forms in which others read coefficients -----------------------------------------------------------
+
+ALL: Final = "all"
+
+
+def forms_of(names: list[str]) -> list[str]:
+    """Return the forms asked for, each once, in their order; "all" is every one. Raises `Refused`."""
+    strange = [name for name in names if name not in FORMS and name != ALL]
+    if strange:
+        known = ", ".join([*FORMS, ALL])
+        raise Refused(f"--as {', '.join(strange)}: the forms are {known}")
+    return list(FORMS) if ALL in names else list(dict.fromkeys(names))
+
+
+def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
+    """Return the scale factors (3,) that `--nominal` states, unit/g. Raises `Refused` where they are none.
+
+    They are none of a result whose signals are accelerations, or have other signs.
+    """
+    if text is None:
+        return None
+    try:
+        values = np.array([read_number(part) for part in text.split(",")])
+    except ValueError:
+        values = np.zeros(0)
+    if values.shape != (3,) or not np.all(np.isfinite(values) & (values != 0)):
+        raise Refused(
+            f"--nominal {text}: three scale factors in unit/g with their signs, such as -2.18,-2.14,-2.14"
+        )
+    for result in results:
+        if result.unit in {"g", "m/s^2"}:
+            raise Refused(
+                f"--nominal: the signals of {result.source} are in {result.unit} already; leave it out"
+            )
+        found = np.diag(result.block.K)
+        if np.any(found * values < 0):
+            raise Refused(
+                f"--nominal {text}: {result.source} has scale factors of other signs "
+                f"({', '.join(f'{v:.4g}' for v in found)} {result.unit}/g)"
+            )
+    return values
+
+
+def write_form(
+    result: BlockResult, path: Path, form: str, nominal: tuple[float, float, float] | None
+) -> tuple[str, ...]:
+    """Write one form to a file; return what it cannot hold. Raises `Refused`, `OSError`."""
+    if form not in FORMS:
+        raise Refused(f"{form!r}: the forms are {', '.join(FORMS)}")
+    chosen = FORMS[form]
+    factors = nominal_of(None if nominal is None else ",".join(map(repr, nominal)), [result])
+    write_whole(path, chosen.write(result, factors))
+    return tuple(chosen.loses(result, factors)) if chosen.loses else ()

@@ -33,8 +33,7 @@ from bench.run.folder import Run
 from bench.services.bench_selection import SUFFIX
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_of
-from bench.services.provenance import provenance
-from bench.services.source import Source, data_sha256
+from bench.services.source import Source, data_sha256, provenance
 
 SAT_IN: Final = re.compile(r"the block sits in installation (\S+), not in (\S+)")
 OF_ONE_READING: Final = frozenset({Kind.NOT_TURNED, Kind.NEXT_POINT, Kind.WRONG_WAY, Kind.SLIP})

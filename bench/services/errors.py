@@ -1,9 +1,15 @@
-"""The one error of what is asked for and cannot be done."""
+"""What is asked for and cannot be done, errors in words for a person, and options that are quantities."""
 
 from __future__ import annotations
 
 import re
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
+
+from bench.base.computing import missing
+from bench.base.numbers import read_number
+
+if TYPE_CHECKING:
+    from bench.base.units import QuantityKind
 
 _OPTION: Final = re.compile(r"--([a-z][a-z-]*)( (?=[0-9.-]))?")
 
@@ -26,3 +32,60 @@ class Refused(Exception):
 def _in_python(option: re.Match[str]) -> str:
     name = option[1].replace("-", "_")
     return f"{name}=" if option[2] else name
+
+
+def expected(error: BaseException) -> bool:
+    """Whether an error was made to be read by a person."""
+    from bench.calibration import CalibrationError
+    from bench.config.bench_file.file import FileMistakes
+    from bench.model.effects import ExpressionError
+    from bench.readings.csv import ReadingsError
+    from bench.run.events import RecordError
+    from drivers.interfaces import BenchError
+
+    kinds: tuple[Any, ...] = (
+        FileMistakes, CalibrationError, ReadingsError, RecordError, BenchError, ExpressionError,
+    )  # fmt: skip
+    return isinstance(error, kinds) or bool(missing(error))
+
+
+def kind_and_words(error: BaseException) -> str:
+    """Return what an error that nobody foresaw is called, and what it says, in one line."""
+    return ": ".join(filter(None, (type(error).__name__, " ".join(str(error).split()))))
+
+
+def sentence(error: Exception) -> str:
+    """Return the sentence for an error that ends the work on one run and not on the others."""
+    if isinstance(error, Refused):
+        return error.typed
+    if expected(error):
+        return missing(error) or str(error)
+    if isinstance(error, OSError):
+        return f"{error.filename or 'a file'}: {error.strerror or error}"
+    return f"stopped by a mistake of the program ({kind_and_words(error)})"
+
+
+def quantity(option: str, text: str, kind: QuantityKind, *, plain: bool = True) -> float:
+    """Return the SI value of an option; a `plain` number is in the SI unit already.
+
+    Raises `Refused` with the option for anything else.
+    """
+    from bench.base.units import parse_quantity  # pydantic is slow to import
+
+    if plain:
+        try:
+            return read_number(text)
+        except ValueError:
+            pass
+    try:
+        return parse_quantity(text, kind)
+    except ValueError as error:
+        raise Refused(f"{option} {text}: {error}") from None
+
+
+def named(option: str, text: str, example: str) -> tuple[str, str]:
+    """Return name and value of an option "NAME=VALUE". Raises `Refused` with an example for another."""
+    name, equals, value = text.partition("=")
+    if not equals or not name.strip() or not value.strip():
+        raise Refused(f"{option} {text}: a name and its value, such as {example}")
+    return name.strip(), value.strip()

@@ -40,7 +40,7 @@ from bench.services.check_runs import checked_before
 from bench.services.errors import Refused
 from bench.services.heard import Heard
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record
-from bench.services.provenance import versions
+from bench.services.records import versions
 from bench.services.simulated_truth import simulated_truth
 from bench.services.traceability import remarks
 from bench.services.until import noted_goals, until_of

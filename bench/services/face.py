@@ -25,7 +25,7 @@ from bench.readings.csv import read_csv, read_frame
 from bench.readings.table import Readings
 from bench.services.arguments import DIAGNOSED, checked, python_call
 from bench.services.bench_selection import bench_of, find_bench_file, origin_beside
-from bench.services.calibration import CalibrationResult, calibration_of
+from bench.services.calibration import CalibrationResult, calibration_of, verification_of
 from bench.services.confirmation import ConfirmationResult, confirmation_of
 from bench.services.diagnosis import DiagnosisResult, body_of, diagnosis_of
 from bench.services.free_diagnosis import FreeDiagnosisResult, free_diagnosis_of, free_sources
@@ -33,7 +33,7 @@ from bench.services.learning import LearningResult, learning_of
 from bench.services.own_effects import knowing_effects_in
 from bench.services.requests.evaluation import Confirm
 from bench.services.source import Request, Source, load_sources, reading
-from bench.services.verification import Asked, VerificationResult, verification_of
+from bench.services.verification import Asked, VerificationResult
 
 if TYPE_CHECKING:
     from typing import TypeAlias

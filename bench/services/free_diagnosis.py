@@ -20,8 +20,7 @@ from bench.readings.corrected import as_read
 from bench.readings.table import Readings
 from bench.services.diagnosis import TOGETHER, place_together
 from bench.services.own_effects import knowing_effects_of
-from bench.services.provenance import provenance
-from bench.services.source import Source, data_sha256
+from bench.services.source import Source, data_sha256, provenance
 
 
 @dataclass(frozen=True)

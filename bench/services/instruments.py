@@ -23,7 +23,7 @@ from bench.run.instruments import leave_safe
 from bench.run.listening import Interrupts
 from bench.run.workbench import QUICK_NPLC
 from bench.services.errors import Refused
-from bench.services.provenance import versions
+from bench.services.records import versions
 from bench.services.simulated_truth import simulated_truth
 from drivers.angles import format_dms
 from drivers.clock import Clock, utc_now

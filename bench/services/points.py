@@ -45,8 +45,7 @@ from bench.readings.table import UNORIENTED, VERIFICATION
 from bench.results.planning import PlanPointsResult, plan_points_result, print_points
 from bench.run.sentences import duration
 from bench.services.bench_selection import find_bench_file
-from bench.services.errors import Refused
-from bench.services.quantities import named, quantity
+from bench.services.errors import Refused, named, quantity
 from bench.services.requests.planning import PlanPoints
 from drivers.clock import utc_now
 

@@ -1,13 +1,15 @@
-"""Run records as listed, and their seals."""
+"""Run records: how they are listed, what made them, their heads and seals."""
 
 from __future__ import annotations
 
 import json
+import platform
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from bench.base.files import read_regular
 from bench.readings.columns import columns_of, ranges_in_words
@@ -36,6 +38,29 @@ from drivers.clock import utc_now
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+
+
+PACKAGES: Final = ("triaxial-bench", "numpy", "scipy", "pyvisa", "pyvisa-py", "pyserial")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that a result depends on."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def record_head(run: Run) -> dict[str, str | int]:
+    """Return by what a record can be known again: how many events it has, and the head of their chain.
+
+    The head is the SHA-256 of the last line, and through it of all before: kept elsewhere, as in a result, it shows
+    whether any was changed, removed or added since.
+    """
+    return {"events": len(run.history.events), "head": run.history.head}
 
 
 def run_summaries(runs: Path) -> list[dict[str, object]]:

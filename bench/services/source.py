@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
 
 from bench.base.text import repeated
 from bench.calibration.budget.meters import KnownMeters
@@ -15,9 +15,11 @@ from bench.calibration.known import KnownStand
 from bench.config.bench_file.file import BenchFile
 from bench.config.model_file import ModelFile, load_model
 from bench.model import CATALOGUE, Effect, ForwardModel
+from bench.readings.columns import ranges_in_words
 from bench.readings.corrected import VOLTS, corrected
 from bench.readings.csv import format_csv, read_csv, read_frame
 from bench.readings.table import Readings
+from bench.results.parts import FailedPart
 from bench.run.events import MANIFEST, RecordError, sha256
 from bench.run.folder import IMPORTED, Run, find_run
 from bench.services.bench_selection import (
@@ -29,7 +31,7 @@ from bench.services.bench_selection import (
     origin_of_run,
     recorded_sha256,
 )
-from bench.services.errors import Refused
+from bench.services.errors import Refused, sentence
 from bench.services.learned import (
     NOTHING,
     LearnedTaken,
@@ -38,6 +40,7 @@ from bench.services.learned import (
     with_effects,
     with_meters,
 )
+from bench.services.records import record_head, versions
 from bench.services.requests.shared import OnReadings, runs_folder
 from bench.services.traceability import Traced, trace
 
@@ -48,6 +51,9 @@ if TYPE_CHECKING:
 
     Given: TypeAlias = str | Readings | pd.DataFrame
     """Readings to be evaluated: name or path of a run, path of a readings file, or a table in memory."""
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 WHAT_IF = "what-if"
 NO_GRAVITY = "gives no local gravity; add 'gravity' to it, or say --g 9.81 (m/s²)"
@@ -159,6 +165,18 @@ class Source:
         """Standard uncertainties of the stand's errors by name, rad; the voltmeter's only for signals in V."""
         sizes = {name: d.u for name, d in self.bench.stand_distributions().items()}
         return sizes if self.readings.unit == VOLTS else sizes | {"voltmeter_error": 0.0}
+
+    def made_from(self) -> dict[str, Any]:
+        """Return the members by which a result says what it was made from."""
+        unit = self.bench.unit_under_test
+        return {
+            "source": self.name,
+            "bench": self.taken.part(),
+            "made_at": self.made_at,
+            "unit_under_test": {"type": unit.type, "serial": unit.serial} if self.block_name else None,
+            "simulated": self.simulated,
+            "corrections": self.traced.parts(),
+        }
 
     def as_certified(self) -> Source:
         """Return the source without what was learned: readings corrected by certificates alone, stated limits."""
@@ -352,3 +370,113 @@ def check_gravity(g_m_s2: float | None) -> None:
     """Refuse a value of local gravity that is none on Earth. Raises `Refused`."""
     if g_m_s2 is not None and not LEAST_GRAVITY <= g_m_s2 <= MOST_GRAVITY:
         raise Refused(f"--g {g_m_s2:g}: local gravity lies between 9.75 and 9.85 m/s² on Earth")
+
+
+# --- several sources, each by itself: a failure does not stop the others -------------------------------
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A source that could not be evaluated, and why, in a sentence."""
+
+    name: str
+    problem: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what stands in the place of its result."""
+        return FailedPart(source=self.name, problem=self.problem).to_dict()
+
+    def __str__(self) -> str:
+        """Return the sentence, with the source named once."""
+        return self.problem if self.problem.startswith(self.name) else f"{self.name}: {self.problem}"
+
+
+def attempted(name: str, work: Callable[[], R]) -> R | Failed:
+    """Return what is made of a source, or why it cannot be."""
+    try:
+        return work()
+    except Exception as error:
+        return Failed(name, sentence(error))
+
+
+def load_each(request: Request) -> list[Source | Failed]:
+    """Read several sources, each by itself; what is wrong with one alone is raised, as `load_sources` does."""
+    if len(request.sources) == 1:
+        return [*load_sources(request)]
+    check_gravity(request.g_m_s2)
+    check_places(request)
+    return [
+        attempted(str(name), lambda name=name: load_sources(replace(request, sources=[name]))[0])  # type: ignore[misc]
+        for name in request.sources
+    ]
+
+
+def each(loaded: Sequence[Source | Failed], work: Callable[[Source], R]) -> list[R | Failed]:
+    """Return what is made of each source, or why it cannot be; what is wrong with one alone is raised."""
+    if len(loaded) == 1:
+        return [work(source) for source in done(loaded)]
+    return [
+        one if isinstance(one, Failed) else attempted(one.name, lambda one=one: work(one))  # type: ignore[misc]
+        for one in loaded
+    ]
+
+
+def done(results: Iterable[T | Failed]) -> list[T]:
+    """Return those that are no failures."""
+    return [one for one in results if _is_done(one)]
+
+
+def failures(results: Iterable[object]) -> list[Failed]:
+    """Return those that are."""
+    return [one for one in results if isinstance(one, Failed)]
+
+
+def _is_done(one: T | Failed) -> TypeGuard[T]:
+    return not isinstance(one, Failed)
+
+
+# --- where the numbers come from, for the record and the page ------------------------------------------
+
+
+def provenance(source: Source) -> dict[str, str]:
+    """Return what the report says of where its numbers come from, in the order in which it says it."""
+    run, origin = source.run, source.origin
+    stated = {
+        "source": source.name,
+        "unit under test": source.block_name or "not stated",
+        "bench": f"{source.taken.words} (SHA-256 {source.taken.sha256})",
+        "model": source.model.name,
+        **source.traced.stated(),
+    }
+    if run is not None:
+        stated["run"] = run.name
+        if run.imported:
+            stated["imported from"] = str(run.manifest["imported"])
+        if checked := run.manifest.get("check_block"):
+            stated["check block"] = checked.get("said", "")
+    if origin is not None and origin.run != stated.get("run"):
+        stated["exported from run"] = origin.run
+    if origin is not None:
+        stated.update(_measured(origin))
+    if supply := ranges_in_words({name: cells.tolist() for name, cells in source.readings.extra.items()}):
+        stated["supply of the block"] = supply
+    if run is not None:
+        head = record_head(run)
+        stated["record"] = f"{head['events']} events, chain of hashes whole, head {head['head']}"
+    if origin is not None:
+        stated["measured with"] = _listed(origin.measured_with)
+    stated["evaluated with"] = _listed(versions())
+    return stated
+
+
+def _measured(origin: Origin) -> dict[str, str]:
+    """What is known of the run that measured the readings: when, who, what, with which instruments."""
+    stated = {"begun": origin.begun, "operator": origin.operator or "not stated"}
+    if origin.procedure:
+        stated["procedure"] = f"{origin.procedure} (plan SHA-256 {origin.plan_hash})"
+        stated["instruments"] = "simulated" if origin.simulated else "real"
+    return stated | origin.instruments
+
+
+def _listed(versions_by_name: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {version}" for name, version in versions_by_name.items())

@@ -72,10 +72,9 @@ from bench.run.resume import Progress
 from bench.run.sentences import size_in_words
 from bench.services.bench_selection import bench_path
 from bench.services.calibration import CalibrationResult, calibration_of
-from bench.services.errors import Refused
+from bench.services.errors import Refused, named, quantity
 from bench.services.learned import NOTHING, LearnedTaken, learned_for_run, with_effects
 from bench.services.points import delta_g_of, stand_of
-from bench.services.quantities import named, quantity
 from bench.services.requests.planning import Check
 from bench.services.requests.shared import runs_folder
 from bench.services.source import Request, load_sources

@@ -1,36 +1,36 @@
-"""From coefficients to a verdict at the verification points, by limit and rule of the bench or of who asks."""
+"""By which limit and rule verification points are judged, and the verdict on them."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from bench.base.arrays import Floats
-from bench.base.tables import as_html, as_text, table
-from bench.calibration import CalibrationError, LackOfFit, Verification, VerificationPoint
+from bench.base.tables import as_html, as_text
+from bench.calibration import Calibration, CalibrationError, LackOfFit, Verification
 from bench.calibration import verify as check
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere
 from bench.calibration.conformity import SIMPLE, DecisionRule, Population
 from bench.calibration.known import drifted
-from bench.calibration.verification import (
+from bench.config.bench_file.file import BenchFile
+from bench.results.verification import (
+    VerifyResult,
     advice,
     global_risk_in_words,
-    optional_probability,
+    print_verification,
     verdict_line,
+    verification_table,
+    verify_result,
 )
-from bench.config.bench_file.file import BenchFile
 from bench.run.events import VerdictAsked
 from bench.run.folder import Run
-from bench.services.calibration import CalibrationResult, calibration_of
-from bench.services.coefficients import Coefficients, read_coefficients
+from bench.services.coefficients import Coefficients
 from bench.services.errors import Refused
 from bench.services.source import Source
 
@@ -150,7 +150,7 @@ def _default_of(run: Run | None) -> DecisionRule:
 class VerificationResult:
     """Δg at the verification points of a source against the limit.
 
-    `warnings` are on the coefficients taken, `said` is on their uncertainty, `fit` is that of coefficients of the
+    `warnings` are on the coefficients used, `said` is on their uncertainty, `fit` is that of coefficients of the
     same readings.
     """
 
@@ -177,7 +177,7 @@ class VerificationResult:
 
     @property
     def otherwise(self) -> bool:
-        """Whether it is judged otherwise than the run's own verdict is: another limit, rule or population."""
+        """Whether limit, rule or population differ from those of the run's own verdict."""
         own, found = own_judgement(self.source), self.verification
         return Judgement(found.limit_g, found.decision, found.population) != own
 
@@ -201,98 +201,64 @@ class VerificationResult:
         """What a reader of the result should know, a sentence each."""
         return (*self.source.readings.notes, *self.source.readings.skipped, *self.sentences)
 
+    def result(self) -> VerifyResult:
+        """Return the result of `bench verify`."""
+        return verify_result(
+            self.verification,
+            notes=[*self.sentences, *self._against],
+            bench=self.source.taken.part(),
+            corrections=self.source.traced.parts(),
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench verify --json` writes it."""
-        return {
-            **self.verification.to_json(),
-            "notes": [*self.sentences, *self._against],
-            "bench": self.source.taken.to_dict(),
-            "corrections": self.source.traced.to_json(),
-        }
-
-    def table(self) -> Table:
-        """Return Δg at each verification point, the statement, and the risk that the decision is wrong."""
-        result = self.verification
-        shown = table("verification point", *_headings(result))
-        for p in result.points:
-            cells = [
-                f"{p.angle_deg:.4f}°",
-                f"{p.delta_g * 1e6:+.1f} µg",
-                f"{p.u * 1e6:.1f} µg",
-                f"{p.U * 1e6:.1f} µg",
-            ]
-            if result.rule != SIMPLE:
-                cells.append(f"{p.accepted_up_to * 1e6:.1f} µg" if p.accepted_up_to > 0 else "nothing")
-            shown.add_row(f"pass {p.pass_number} point {p.point}", *cells, *_risks(p), str(p.statement))
-        return shown
+        return self.result().to_dict()
 
     def verdict(self) -> str:
         """Return the verdict in one line, and why it is not accepted where the coefficients are not."""
         return "; ".join((verdict_line(self.source.name, self.verification), *self._against))
 
+    def print_on(self, out: Console) -> None:
+        """Print Δg at each verification point, and what a reader should know."""
+        print_verification(self.verification, self.notes, out)
+
     def __repr__(self) -> str:
         """Return the points and the verdict."""
 
         def print_on(out: Console) -> None:
-            out.print(self.table())
+            out.print(verification_table(self.verification))
             for line in self._below():
                 out.print(line)
 
         return as_text(print_on)
 
+    def _repr_html_(self) -> str:
+        return as_html([], verification_table(self.verification)) + as_html(self._below())
+
     def _below(self) -> list[str]:
         notes = (*self.warnings, *self.notes)
         return [f"bench: {self.bench}", *(f"note: {note}" for note in notes), self.verdict()]
 
-    def _repr_html_(self) -> str:
-        return as_html([], self.table()) + as_html(self._below())
 
-
-def _headings(result: Verification) -> list[str]:
-    expanded = ">U (k=2)" if all(p.k == 2.0 for p in result.points) else ">U (95.45 %)"
-    accepted = [] if result.rule == SIMPLE else [">accepted up to"]
-    return [">angle", ">Δg", ">u", expanded, *accepted, ">false accept", ">false reject", "statement"]
-
-
-def _risks(point: VerificationPoint) -> tuple[str, str]:
-    """The risks of a false acceptance and of a false rejection at a point; a dash where it is neither."""
-    accepted, rejected = point.p_false_accept, point.p_false_reject
-    return optional_probability(accepted), optional_probability(rejected)
-
-
-def verification_of(
+def judged(
     source: Source,
-    coefficients: Path | CalibrationResult | None = None,
-    asked: Asked = NOTHING_ASKED,
-    agreed: DecisionRule | None = None,
+    judgement: Judgement,
+    taken: Coefficients,
+    own: Calibration | None = None,
+    warnings: tuple[str, ...] = (),
 ) -> VerificationResult:
-    """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings.
+    """Judge the verification points of a source with coefficients; `own` is their calibration by its readings.
 
-    By the rule `agreed` where neither the source nor who asks states one.
+    Raises `CalibrationError` where there is no verification point.
     """
-    judgement = own_judgement(source, asked, agreed=agreed)
-    warnings: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
-    if coefficients is None:
-        coefficients = calibration_of(source)
-        source = coefficients.source
-    if isinstance(coefficients, CalibrationResult):
-        own = coefficients.calibration
-        if own.unit != source.readings.unit:
-            raise Refused(f"coefficients in {own.unit}/g, but the readings are in {source.readings.unit}")
-        taken = coefficients.as_coefficients()
-    else:
-        taken = read_coefficients(coefficients, source.readings.unit)
-        if taken.simulated and not source.simulated:
-            warnings = (f"the coefficients in {coefficients} were found on simulated instruments",)
-    if isinstance(coefficients, CalibrationResult) and coefficients.source is source:
-        joint = delta_g_contributions(
-            coefficients.calibration, source.readings, source.bench, source.model, source.traced.day,
-            source.known_meters,
-        )  # fmt: skip
-    else:
+    if own is None:
         covariance, said = _of_another_day(taken, source)
         joint = {"coefficients and readings": covariance}
+    else:
+        joint = delta_g_contributions(
+            own, source.readings, source.bench, source.model, source.traced.day, source.known_meters
+        )
     verdict = check(
         source.readings,
         taken.block,
@@ -304,10 +270,7 @@ def verification_of(
         joint=joint,
         population=judgement.population,
     )
-    fit = None
-    if isinstance(coefficients, CalibrationResult) and coefficients.source is source:
-        fit = coefficients.calibration.lack_of_fit
-    return VerificationResult(source, verdict, warnings, said, fit)
+    return VerificationResult(source, verdict, warnings, said, None if own is None else own.lack_of_fit)
 
 
 def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[str, ...]]:

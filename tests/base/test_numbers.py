@@ -7,8 +7,7 @@ import pytest
 
 from bench.base.numbers import MINUS, read_number, rounded, uncertainty
 from bench.base.units import ACCELERATION, RATIO, parse_quantity
-from bench.services.errors import Refused
-from bench.services.quantities import quantity
+from bench.services.errors import Refused, quantity
 from drivers.angles import parse_angle, typed_supply, typed_temperature
 
 

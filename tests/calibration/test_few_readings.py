@@ -9,6 +9,7 @@ from bench.calibration.design import make_problem
 from bench.calibration.known import KnownNoise, KnownStand
 from tests.support.honest_runs import FEW, MODEL, STATED, run_few, simulate_few
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, simulate
+from tests.support.results import calibration_json
 
 
 def few(design, seed, times=1.0, stated=STATED, known=None):
@@ -28,7 +29,7 @@ def test_saturated_readings_have_the_noise_that_the_bench_file_states():
         "u rests on the sizes of the noise that the bench file states (reading 100 µV" in n
         for n in found.notes
     )
-    prior = found.to_json()["noise"]["prior"]
+    prior = calibration_json(found)["noise"]["prior"]
     assert (prior["reading_v"], prior["dof"], prior["p"], prior["from"]) == (
         pytest.approx(1e-4), 4.0, None, "bench file"
     )  # fmt: skip

@@ -26,6 +26,7 @@ from tests.support.honest_runs import (
     with_free,
 )
 from tests.support.paper_bench import ARCSEC, STAND_U, TRUTH, U0, K, design, simulate, specific_force
+from tests.support.results import calibration_json
 
 DATA = Path(__file__).parents[1] / "data"
 KYZ, KZY = COEFFICIENTS.index("Kyz"), COEFFICIENTS.index("Kzy")
@@ -128,7 +129,7 @@ def test_uncertainty_of_free_positions_alone_is_honest():
 
 
 def test_what_free_positions_do_not_show_is_said():
-    result = calibrate(free_alone(30, 1e-4, 1), MODEL, STAND_U, 9.81).to_json()
+    result = calibration_json(calibrate(free_alone(30, 1e-4, 1), MODEL, STAND_U, 9.81))
     assert "common rotation of the block's axes" in result["not_observable"][0]
     assert "sign of each channel" in result["not_observable"][1]
     assert result["noise"]["source"] == "residuals"
@@ -238,7 +239,7 @@ def test_joined_verification_points_show_the_third_mounting_angle():
     assert abs(error.sum()) < 4 * sum_u
     assert sum_u < sum_u_apart / 10
     assert any("they are no independent check" in note for note in joined.notes)
-    assert joined.to_json()["free_positions"]["used"] == 4
+    assert calibration_json(joined)["free_positions"]["used"] == 4
 
 
 def test_joined_estimate_is_that_of_the_textbook():

@@ -25,6 +25,7 @@ from tests.support.paper_bench import (
     simulate,
     specific_force,
 )
+from tests.support.results import calibration_json
 
 MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 NAMES = ("axis_tilt", "zero_offset", "mounting_error")
@@ -276,7 +277,7 @@ def test_verification_rows_are_not_fitted():
 
 def test_result_as_promised():
     """The JSON form: names, order, nulls for what is not there, the unit of the stand's angles."""
-    result = calibrate(simulate(np.random.default_rng(2), 1e-4), MODEL, STAND_U, 9.81).to_json()
+    result = calibration_json(calibrate(simulate(np.random.default_rng(2), 1e-4), MODEL, STAND_U, 9.81))
     assert result["estimator"] == "gls"
     assert result["order"] == list(COEFFICIENTS)
     assert result["coefficients"]["Kyx"]["u"] == pytest.approx(np.sqrt(result["covariance"][3][3]))
@@ -285,7 +286,9 @@ def test_result_as_promised():
     assert result["g_m_s2"] == 9.81
     assert 0 <= result["residual"]["p"] <= 1
     assert result["noise"]["source"] == "repeats"
-    single = calibrate(simulate(np.random.default_rng(2), 1e-4, passes=1), MODEL, STAND_U, 9.81).to_json()
+    single = calibration_json(
+        calibrate(simulate(np.random.default_rng(2), 1e-4, passes=1), MODEL, STAND_U, 9.81)
+    )
     assert single["residual"]["p"] is None
     assert single["noise"]["source"] == "residuals"
 

@@ -10,6 +10,7 @@ from bench.readings.csv import write_csv
 from bench.readings.table import make_readings
 from tests.support.honest_runs import MODEL, free_forces
 from tests.support.paper_bench import STAND_U, TRUTH, U0, K, design, simulate, specific_force
+from tests.support.results import calibration_json
 
 FITTING = ("gls", "least-squares", "robust")
 
@@ -145,7 +146,10 @@ def test_nominal_angles_in_place_of_those_read_back():
     by_target = calibrate(readings, MODEL, STAND_U, 9.81, nominal_angles=True)
     assert by_scale.noise.setting_rad > 50 * by_target.noise.setting_rad
     assert np.all(np.abs(by_target.block.vector - TRUTH) < 4 * by_target.u)
-    assert (by_scale.to_json()["angles"], by_target.to_json()["angles"]) == ("read back", "nominal")
+    assert (calibration_json(by_scale)["angles"], calibration_json(by_target)["angles"]) == (
+        "read back",
+        "nominal",
+    )
     readings.target_rad[:] = np.nan
     np.testing.assert_allclose(
         calibrate(readings, MODEL, STAND_U, 9.81, nominal_angles=True).block.vector, by_target.block.vector

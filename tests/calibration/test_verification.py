@@ -8,11 +8,12 @@ from scipy import stats
 
 from bench.calibration import CalibrationError, calibrate, verify
 from bench.calibration.conformity import Population, global_risk
-from bench.calibration.verification import advice, global_risk_in_words, verdict_line
 from bench.model import Block, ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
+from bench.results.verification import advice, global_risk_in_words, verdict_line
 from tests.support.paper_bench import STAND_U, TRUTH, U0, K, simulate, specific_force
+from tests.support.results import verification_json
 
 THETA = np.radians([45.0, 135.0, 225.0, 315.0])
 PSI = np.radians(45.0)
@@ -117,7 +118,7 @@ def test_a_table_without_verification_points_is_refused():
 
 
 def test_result_as_promised():
-    result = verify(turned(), BLOCK, NONE, 0.0, 3e-4).to_json()
+    result = verification_json(verify(turned(), BLOCK, NONE, 0.0, 3e-4))
     assert result["limit_g"] == 3e-4
     assert (result["rule"], result["false_acceptance"]) == ("non-binary", 0.05)
     assert result["guard_band"] == pytest.approx(0.8224, abs=1e-4)
@@ -176,9 +177,9 @@ def test_u_grows_as_its_degrees_of_freedom_shrink():
         )  # t of 5 degrees of freedom at 95.45 % (GUM, table G.2)
         assert pytest.approx(other.k * one.u) == other.U
         assert other.p_outside > one.p_outside
-    told = few.to_json()["points"][0]
+    told = verification_json(few)["points"][0]
     assert (told["dof"], told["k"]) == (5.0, few.points[0].k)
-    assert certain.to_json()["points"][0]["dof"] is None
+    assert verification_json(certain)["points"][0]["dof"] is None
 
 
 @pytest.mark.parametrize(
@@ -198,7 +199,7 @@ def test_u_grows_as_its_degrees_of_freedom_shrink():
 )
 def test_statement_and_decision(factor, noise, rule, statement, passed):
     result = verify(turned(), altered_z(factor), NONE, noise, 3e-4, rule=rule)
-    told = result.to_json()
+    told = verification_json(result)
     assert (told["statement"], told["passed"]) == (statement, passed)
     decided = "p_false_accept" if passed else "p_false_reject"
     for name in ("p_false_accept", "p_false_reject"):
@@ -209,7 +210,7 @@ def test_statement_and_decision(factor, noise, rule, statement, passed):
 def test_a_conditional_pass_of_the_non_binary_rule_is_left_open():
     """Neither accepted nor rejected: the risk is that of the customer who accepts it."""
     result = verify(turned(), altered_z(1.00055), NONE, 1e-4, 3e-4, rule="non-binary")
-    told = result.to_json()
+    told = verification_json(result)
     assert (told["statement"], told["passed"], told["p_false_reject"]) == ("conditional pass", False, None)
     assert told["p_false_accept"] == result.p_outside
     assert all(p["p_false_accept"] is not None and p["p_false_reject"] is None for p in told["points"])
@@ -254,7 +255,7 @@ def test_a_population_enters_the_risks_of_the_block(covariance):
 def test_a_missing_point_leaves_the_verdict_open_but_not_a_failure():
     open_verdict = verify(replace(turned(), verification_missing=1), BLOCK, NONE, 1e-5, 3e-4)
     assert (open_verdict.statement, open_verdict.passed) == ("not complete", False)
-    assert open_verdict.to_json()["p_false_reject"] is None
+    assert verification_json(open_verdict)["p_false_reject"] is None
     failed = verify(replace(turned(), verification_missing=1), altered_z(1.01), NONE, 1e-5, 3e-4)
     assert failed.statement == "fail"
 
@@ -264,7 +265,7 @@ def test_risks_of_all_points_and_of_the_worst(covariance):
     single = [p.p_outside for p in result.points]
     assert result.p_outside_worst == max(single)
     assert max(single) < result.p_outside < sum(single)
-    told = result.to_json()
+    told = verification_json(result)
     assert (told["p_false_accept"], told["p_false_accept_worst"]) == (result.p_outside, max(single))
     assert told["global_risk"] is None
 
@@ -274,7 +275,7 @@ def test_a_global_risk_only_of_a_stated_population(covariance):
     result = verify(turned(), BLOCK, covariance, 1e-4, 3e-4, rule="guarded", population=population)
     worst = max(result.points, key=lambda p: p.u)
     expected = global_risk(population, worst.u, 3e-4, 3e-4 - worst.U)
-    told = result.to_json()["global_risk"]
+    told = verification_json(result)["global_risk"]
     assert (told["false_accept"], told["false_reject"]) == (expected.false_accept, expected.false_reject)
     assert any(
         "standard deviation 100 µg, as stated" in sentence for sentence in global_risk_in_words(result)

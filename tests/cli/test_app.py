@@ -14,6 +14,7 @@ from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import read_csv, write_csv
 from bench.run.folder import Run
 from tests.support.procedure_texts import TWO_INSTALLATIONS
+from tests.support.schemas import keeps_to
 
 PAPER = [
     -2.177087, -0.018243, 0.025027, 0.026542, -2.139892, 0.032755, 0.006754, 0.006026, -2.144367,
@@ -270,6 +271,7 @@ def test_run_and_report_give_json_on_standard_output_alone(bench):
     assert "PASSED" in err  # what a person reads goes beside it
     told = json.loads(bench("report", "j", "--json", "-")[1])
     assert Path(told["report"]).is_file()
+    keeps_to("report", told)
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ def test_there_is_one_of_each_kind():
 @pytest.fixture
 def without_drawing(monkeypatch):
     """The report is the same on every bench, and drawing it takes ten times as long as the run."""
-    monkeypatch.setattr("bench.results.render_report", lambda _content: "")
+    monkeypatch.setattr("bench.results.page.render_report", lambda _content: "")
 
 
 @pytest.mark.slow

@@ -80,7 +80,7 @@ def test_its_declaration_holds(device, tmp_path):
 @pytest.mark.slow
 @every
 def test_a_bench_with_it_is_checked_and_runs_dry(bench, tmp_path, monkeypatch, device):
-    monkeypatch.setattr("bench.results.render_report", lambda _content: "")
+    monkeypatch.setattr("bench.results.page.render_report", lambda _content: "")
     path = written_bench(device, tmp_path)
     status, out, err = bench("check", "quick", "--bench", path)
     assert (status, err) == (0, ""), out

@@ -51,13 +51,6 @@ def test_a_real_result_keeps_to_its_schema(bench, finished, name, command):
     keeps_to(name, json.loads(Path("result.json").read_text(encoding="utf-8")))
 
 
-def test_the_result_of_a_report_holds_a_verification():
-    """The page itself takes seconds; its result is the path and what `verify` writes."""
-    (verified,) = json.loads(f"[{(DATA / 'records' / 'verify.json').read_text(encoding='utf-8')}]")
-    verified = verified[0] if isinstance(verified, list) else verified
-    keeps_to("report", {"report": "runs/finished/report.html", "verification": verified})
-
-
 def test_the_lines_of_a_record_keep_to_their_schema(finished):
     lines = (DATA / "records" / "finished" / "events.jsonl").read_text(encoding="utf-8").splitlines()
     assert len(lines) > 50

@@ -158,7 +158,7 @@ def test_on_a_wire_that_fails_the_driver_tells_the_truth_or_why_not(page: dict[s
 
 
 def test_its_section_stands_in_a_bench_file_and_in_a_dry_run(bench, page, tmp_path, monkeypatch):
-    monkeypatch.setattr("bench.results.render_report", lambda _content: "")
+    monkeypatch.setattr("bench.results.page.render_report", lambda _content: "")
     path = written_bench(devices().get("frostline"), tmp_path)
     status, out, err = bench("run", "quick", "--dry-run", "--bench", path, "--name", "run")
     assert (status, err) == (0, ""), out

@@ -13,7 +13,8 @@ from bench.calibration import calibrate, verify
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
-from bench.results import ReportContent, plots, render_report, write_report
+from bench.results import plots
+from bench.results.page import ReportContent, render_report, write_report
 from tests.support.paper_bench import STAND_U, simulate
 
 MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})

@@ -23,8 +23,7 @@ from bench.readings.csv import write_csv
 from bench.run.events import sha256
 from bench.run.sentences import sentence
 from bench.services.execution import _on_certificates
-from bench.services.provenance import provenance
-from bench.services.source import Request, data_sha256, load_sources
+from bench.services.source import Request, data_sha256, load_sources, provenance
 from tests.support.certified_bench import meter_certificate, table_certificate, write_bench
 from tests.support.diagnosis_bench import paper_run
 from tests.support.paper_bench import TRUTH, U0, K, simulate

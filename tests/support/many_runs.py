@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.files import to_text
-from bench.services.calibration import calibration_of
+from bench.services.calibration import calibration_of, verification_of
 from bench.services.source import Request, load_sources
-from bench.services.verification import verification_of
 
 RECORD = Path(__file__).parents[1] / "data" / "records" / "finished"
 

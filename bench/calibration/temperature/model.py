@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.base.arrays import Floats, HasCovariance, Ints, Mask, u_of
 from bench.base.numbers import finite_or_none
-from bench.calibration.result import CalibrationError, LackOfFit, Noise, values_with_u
+from bench.calibration.result import CalibrationError, LackOfFit, Noise
 from bench.model.geometry import COEFFICIENTS, Block
 
 
@@ -199,7 +199,10 @@ def _plateau_json(plateau: PlateauResult) -> dict[str, Any]:
         "readings": plateau.readings,
         "coefficients": None
         if plateau.value is None or plateau.u is None
-        else values_with_u(plateau.value, plateau.u),
+        else {
+            name: {"value": float(value), "u": float(u)}
+            for name, value, u in zip(COEFFICIENTS, plateau.value, plateau.u, strict=True)
+        },
     }
 
 

@@ -10,7 +10,6 @@ from typing import Any, Final
 from bench.base.arrays import ARCSEC
 from bench.base.numbers import aligned, fixed, quantity, rounded, two_digits, typeset, uncertainty
 from bench.base.text import visible
-from bench.calibration.verification import optional_probability, probability_in_words
 from bench.certificate.content import (
     Certificate,
     Condition,
@@ -23,6 +22,7 @@ from bench.certificate.content import (
     uncertified,
 )
 from bench.results.plots import residuals_by_angle, verification_points
+from bench.results.verification import optional_probability, probability_in_words
 
 Block = dict[str, Any]
 Cell = str | list[str] | dict[str, Any]

@@ -19,6 +19,7 @@ from bench.model import Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import VERIFICATION
 from tests.support.paper_bench import ARCSEC
+from tests.support.results import calibration_json
 from tests.support.whole_truth import CASES, simulate_whole
 
 BENCH = load_bench(Path(__file__).parents[3] / "config" / "paper-stand.yaml")
@@ -142,7 +143,7 @@ def test_an_offset_of_the_temperature_moves_what_its_u_says(run):
 
 def test_gravity_is_in_si_alone(run):
     found = signed(run)
-    written = found.to_json()
+    written = calibration_json(found)
     u_g = 5e-4 / BENCH.gravity_m_s2
     own = written["coefficients_per_ms2"]["Kxx"]
     expected = np.hypot(found.u[0], found.block.vector[0] * u_g) / 9.81

@@ -16,8 +16,10 @@ from bench.certificate.dcc.results import region_factor
 from bench.certificate.dcc.rules import broken_rules
 from bench.certificate.paper import proof
 from bench.certificate.paper.proof import Writer
-from bench.services.verification import Asked, verification_of
+from bench.services.calibration import verification_of
+from bench.services.verification import Asked
 from tests.support.certificates import ORDER
+from tests.support.results import calibration_json
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +80,7 @@ def test_per_metre_and_second_squared_holds_the_uncertainty_of_gravity(root, iss
     own = issued_certificate.found.result.calibration
     values = floats(of_result(root, "coefficients_si", "si:valueXMLList"))
     assert np.allclose(values[:9], own.block.vector[:9] / own.g_m_s2, rtol=1e-15)
-    stated = own.to_json()["coefficients_per_ms2"]
+    stated = calibration_json(own)["coefficients_per_ms2"]
     u = np.sqrt(np.diag(covariance_of(root, "coefficients_si")))
     assert u[:9] == pytest.approx([stated[name]["u"] for name in list(stated)[1:]], rel=1e-12)
 

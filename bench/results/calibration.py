@@ -1,0 +1,433 @@
+"""The result of `bench calibrate`: the twelve coefficients with their uncertainty, as JSON and as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from rich.console import Console
+from rich.table import Table
+
+from bench.base.arrays import ARCSEC, Floats, rms, u_of
+from bench.base.numbers import fixed, places, scale_for, uncertainty
+from bench.base.result_model import Matrix, Real, ResultModel
+from bench.base.tables import print_notes, table
+from bench.calibration.estimators import find_estimator
+from bench.calibration.result import COVERAGE_FACTOR, Calibration, NoisePrior, Triangular
+from bench.model.geometry import COEFFICIENTS
+from bench.results.parts import (
+    BenchPart,
+    ChannelsPart,
+    CoefficientPart,
+    CorrectionPart,
+    EstimatePart,
+    FitPart,
+    ReadingsPart,
+    RecordPart,
+    UncertaintySourcePart,
+    UnitPart,
+    ValuePart,
+    by_channel,
+    coefficient_unit,
+    uncertainty_source,
+    values_with_u,
+)
+
+
+class PerMs2Part(ResultModel):
+    """K per m/s², from K per g and `g_m_s2`, whose own uncertainty is in `u`."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, ValuePart]
+
+    unit: str
+
+
+class WidenedFitPart(FitPart):
+    """Lack of fit against the repeats, and what it did to u."""
+
+    birge: float = Field(description="by how much u is widened because the model does not fit; 1: not")
+
+
+class NoisePriorPart(ResultModel):
+    """Sizes of the noise stated before the readings, on which u rests."""
+
+    reading_v: float = Field(description="of a reading, unit of the signal, 1 sigma")
+    setting_arcsec: float
+    dof: float = Field(
+        description="degrees of freedom of the scaled inverse chi-square distribution of each variance"
+    )
+    readings_dof: float = Field(description="degrees of freedom that the readings leave")
+    ratio: Real = Field(
+        description="how many times the stated noise the readings scatter; null where they cannot tell"
+    )
+    p: Real = Field(
+        description="two-sided probability of a ratio so far from 1 where the sizes hold; null where they cannot "
+        "tell"
+    )
+    from_: Literal["bench file", "other runs"] = Field(alias="from")
+
+
+class ComponentPart(ResultModel):
+    """A variance that readings share."""
+
+    what: str = Field(description="what shares it: setting, angle of a setting, visit, pass, drift")
+    channels: str
+    size: float = Field(description="its standard deviation")
+    unit: str
+    dof: float
+    p: float = Field(
+        description="probability that chance alone asks for any of them as much (Holm over the kinds)"
+    )
+
+
+class DriftPart(ResultModel):
+    """How the biases wander about their means over the run."""
+
+    hours: float
+    rms: dict[str, float]
+    per_hour: dict[str, float]
+
+
+class NoisePart(ChannelsPart):
+    """Sizes of the noise of a reading in x, y, z and of what readings share, one standard deviation."""
+
+    reading_v: float = Field(
+        description="of a reading, root mean square of the three channels, unit of the signal"
+    )
+    p_equal: Real = Field(description="probability of such a difference where the channels are alike")
+    p_tails: Real = Field(description="probability of such tails in Gaussian noise")
+    shared: list[ComponentPart]
+    drift: DriftPart | None
+    wander: ChannelsPart | None = Field(
+        description="how far each bias may wander about its mean over the run, rms: as found, or as the readings "
+        "leave open; null where it was not searched for"
+    )
+    setting_arcsec: float = Field(description="of a setting of the head")
+    setting_limits_arcsec: list[Real] | None = Field(
+        description="between these the setting error lies with about 95 %"
+    )
+    dof: Real = Field(description="degrees of freedom of the estimate; null where it was given")
+    source: str = Field(description="where the sizes come from")
+    prior: NoisePriorPart | None = Field(description="null where the readings alone tell the noise")
+
+
+class OutlierPart(ResultModel):
+    """A signal that the model and the other readings contradict."""
+
+    row: int = Field(description="row of the table, from 1")
+    series: int
+    installation: str
+    pass_number: int = Field(alias="pass")
+    point: int
+    channel: str = Field(description="x, y, z; `head` for a setting; `modulus` for a free position")
+    size: float = Field(description="how far it is off")
+    unit: str
+    sigma: float = Field(description="size over its standard uncertainty")
+    weight: float = Field(description="what is left of its weight in the fit")
+
+
+class FreePositionPart(ResultModel):
+    """A free position that joined the fit."""
+
+    installation: str
+    pass_number: int = Field(alias="pass")
+    point: int
+    delta_g: float = Field(description="|a| − 1, g")
+
+
+class FreePositionsPart(ResultModel):
+    """Free positions that joined by |a| = 1 g."""
+
+    used: int
+    rms_g: float = Field(description="of |a| − 1 over all of them")
+    rms_g_without_outliers: float
+    rows: list[FreePositionPart]
+
+
+class ArrayWithU(ResultModel):
+    """Numbers with their standard uncertainties."""
+
+    value: list[float] | Matrix
+    u: list[float] | Matrix
+
+
+class TriangularPart(ResultModel):
+    """Nine coefficients where no reading had a known orientation."""
+
+    convention: str
+    bias: ArrayWithU
+    scale_ms2_per_unit: ArrayWithU
+    T: ArrayWithU
+
+
+class CertificateReadPart(ResultModel):
+    """The certificate that the result was read from (`bench certificate read`)."""
+
+    number: str
+    laboratory: str
+    date: str
+
+
+class PriorPart(ResultModel):
+    """What units of the block's type told (`--prior`)."""
+
+    file: str
+    type: str = Field(description="of the units")
+    units: int = Field(description="units behind it")
+    dof: int = Field(description="its degrees of freedom")
+    used: bool = Field(
+        description="false where it contradicts the readings: the calibration is then as without it"
+    )
+    chi2: float = Field(description="of readings against prior, for twelve")
+    p: float = Field(description="probability of so much disagreement by chance")
+    pull: dict[str, float] = Field(description="by name: readings less prior, over its u")
+    u_without: dict[str, float] = Field(description="by name: u without the prior")
+
+
+class CalibrateResult(ResultModel):
+    """Coefficients of U = K a + U0 with their uncertainty.
+
+    With several sources a list of these, and of `source-failed` where one could not be evaluated.
+    """
+
+    estimator: str = Field(description="name of the estimator")
+    unit: str = Field(description="unit of the signals")
+    g_m_s2: float = Field(description="local gravity, m/s²")
+    per: str = Field(description="coefficients are per this acceleration: local g")
+    coefficients: dict[str, CoefficientPart] = Field(
+        description="the twelve coefficients `Kxx`, `Kxy`, … `Kzz`, `U0x`, `U0y`, `U0z`, in unit/g and unit"
+    )
+    coefficients_per_ms2: PerMs2Part
+    order: list[str] = Field(description="the coefficients in the order of `covariance`")
+    covariance: Matrix = Field(description="combined covariance of the coefficients, 12 × 12, in `order`")
+    covariance_readings: Matrix = Field(
+        description="the part that the readings and the stand as it is stated show"
+    )
+    covariance_same_meters: Matrix = Field(
+        description="the combined one without what cancels where the same meters read the block"
+    )
+    block_terms: Matrix = Field(
+        description="what K2 and K3 of the block, each one standard uncertainty large, add to the coefficients: a "
+        "row for each; alike in every calibration of the block"
+    )
+    gravity_u: float = Field(
+        description="relative standard uncertainty of local gravity; it is in `coefficients_per_ms2` alone"
+    )
+    sources: list[UncertaintySourcePart] = Field(description="the errors in u that no reading shows")
+    stand: dict[str, EstimatePart] = Field(
+        description="what the readings tell of the angles of the stand, by name and installation"
+    )
+    effects: dict[str, EstimatePart] = Field(
+        description="parameters of the effects of the model file, where one was given"
+    )
+    not_observable: list[str] = Field(
+        description="what is assumed because these readings cannot show it, and what it costs if it is wrong"
+    )
+    residual: WidenedFitPart
+    noise: NoisePart
+    readings: ReadingsPart
+    model: str = Field(description="name of the forward model")
+    angles: str = Field(description="`read back` or `nominal`")
+    outliers: list[OutlierPart]
+    free_positions: FreePositionsPart | None
+    triangular: TriangularPart | None
+    source: str = Field(description="run or file")
+    bench: BenchPart | None = Field(default=None, description="none where it was read from a certificate")
+    made_at: str | None = Field(description="when the readings were taken, as far as it is known")
+    unit_under_test: UnitPart | None
+    simulated: bool = Field(description="whether the instruments were simulated")
+    meters: list[str] = Field(
+        description="what each voltmeter answered, and where; empty where nobody recorded it"
+    )
+    corrections: list[CorrectionPart] = Field(
+        default=[], description="the certificates of the instruments; without any an empty list"
+    )
+    record: RecordPart | None = Field(default=None, description="of a run alone")
+    prior: PriorPart | None = Field(default=None, description="where one was asked for")
+    certificate: CertificateReadPart | None = Field(default=None, description="where it was read from one")
+    notes: list[str]
+    skipped_rows: list[str] = Field(description="bad rows that were left out, with the reason")
+
+
+def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
+    """Return a calibration as `--json` writes it; `made_from` are the members from `source` on."""
+    rows = (found.block.vector, found.u, found.u_readings, found.U, found.dof)
+    columns = zip(COEFFICIENTS, *(row.tolist() for row in rows), strict=True)
+    return CalibrateResult.from_object(
+        found,
+        per="g",
+        coefficients={
+            name: {"value": value, "u": u, "u_readings": own, "U": U, "k": COVERAGE_FACTOR, "dof": dof}
+            for name, value, u, own, U, dof in columns
+        },
+        coefficients_per_ms2=_per_ms2(found),
+        order=list(COEFFICIENTS),
+        block_terms=found.block_terms.T,
+        sources=[uncertainty_source(source) for source in found.sources],
+        not_observable=found.assumed,
+        residual=WidenedFitPart.from_object(found.lack_of_fit, birge=found.birge),
+        noise=_noise(found),
+        readings={"used": found.used, "skipped": found.skipped},
+        free_positions=_free_positions(found),
+        triangular=None if found.triangular is None else _triangular(found.triangular),
+        **made_from,
+    )
+
+
+def _per_ms2(found: Calibration) -> dict[str, Any]:
+    """Return K in unit/(m/s²), from K per g by the g that is stated, with its uncertainty."""
+    values = found.block.vector[:9]
+    u = np.hypot(found.u[:9], values * found.gravity_u) / found.g_m_s2
+    return {"unit": f"{found.unit}/(m/s^2)", **values_with_u(values / found.g_m_s2, u)}
+
+
+def _noise(found: Calibration) -> NoisePart:
+    noise, drift, limits = found.noise, found.drift, found.noise.setting_limits_rad
+    return NoisePart.from_object(
+        noise,
+        reading_v=noise.reading,
+        **by_channel(noise.by_channel),
+        p_tails=found.p_tails,
+        shared=found.shared,
+        drift=drift
+        and DriftPart(hours=drift.hours, rms=by_channel(drift.size), per_hour=by_channel(drift.per_hour)),
+        wander=None if found.wander is None else by_channel(found.wander),
+        setting_arcsec=noise.setting_rad / ARCSEC,
+        setting_limits_arcsec=None if limits is None else [limit / ARCSEC for limit in limits],
+        prior=noise.prior and _noise_prior(noise.prior),
+    )
+
+
+def _noise_prior(prior: NoisePrior) -> NoisePriorPart:
+    return NoisePriorPart.from_object(
+        prior,
+        reading_v=prior.reading,
+        setting_arcsec=prior.setting_rad / ARCSEC,
+        from_="bench file" if prior.stated else "other runs",
+    )
+
+
+def _free_positions(found: Calibration) -> dict[str, Any] | None:
+    free = found.free
+    if free is None:
+        return None
+    columns = (free.installation, free.pass_number, free.point, found.modulus_error)
+    return {
+        "used": len(free),
+        "rms_g": rms(found.modulus_error),
+        "rms_g_without_outliers": found.modulus_rms_g,
+        "rows": [
+            {"installation": installation, "pass": number, "point": point, "delta_g": error}
+            for installation, number, point, error in zip(*(c.tolist() for c in columns), strict=True)
+        ],
+    }
+
+
+def _triangular(found: Triangular) -> dict[str, Any]:
+    def with_u(value: Floats, u: Floats) -> dict[str, Any]:
+        return {"value": value.tolist(), "u": u.tolist()}
+
+    return {
+        "convention": "a = T S (u - b) in m/s^2, T unit upper triangular, S diagonal and positive",
+        "bias": with_u(found.bias, found.u_bias),
+        "scale_ms2_per_unit": with_u(found.scale, found.u_scale),
+        "T": with_u(found.T, found.u_skew),
+    }
+
+
+# --- as text ----------------------------------------------------------------------------------------
+
+
+def headline(name: str, found: Calibration) -> str:
+    """Return a sentence on what was calibrated, and how."""
+    readings = f"{len(found.fitted)} readings"
+    if found.free is not None:
+        readings += f", {len(found.free)} by their modulus"
+    if found.skipped:
+        readings += f", {found.skipped} bad rows skipped"
+    return (
+        f"Calibration of {name}: {found.estimator}, model {found.model}, {readings}, "
+        f"local g = {found.g_m_s2:.6g} m/s²"
+    )
+
+
+def coefficients_table(found: Calibration) -> Table:
+    """Return the coefficients with u, U (k = 2) and u of the readings alone, rounded to two digits of u."""
+    shown = table("coefficient", ">value", ">u", ">U (k=2)", ">u, readings", "")
+    rows = (found.block.vector, found.u, found.U, found.u_readings)
+    for name, *sizes in zip(COEFFICIENTS, *(row.tolist() for row in rows), strict=True):
+        value, u, *_ = sizes
+        if value == 0.0 and u == 0.0:
+            shown.add_row(name, "0", "", "", "", "by convention")
+            continue
+        shown.add_row(name, *(fixed(size, places(u)) for size in sizes), coefficient_unit(name, found.unit))
+    return shown
+
+
+def sources_table(found: Calibration) -> Table:
+    """Return further contributions to u, which the readings do not show: size, origin, and what each costs."""
+    shown = table("u holds also", ">u", "from", ">most", "in")
+    for source in found.sources:
+        u = u_of(source.covariance)
+        if not np.any(u > 0):
+            continue
+        j = int(np.argmax(u / found.u))
+        name = COEFFICIENTS[j]
+        size = scale_for(float(u[j]), "V")
+        cost = f"{uncertainty(float(u[j]) / size.size)} {coefficient_unit(name, size.unit)}"
+        origin = f"{source.origin} (prior)" if source.prior else source.origin
+        shown.add_row(source.name.replace("_", " "), source.size, origin, cost, name)
+    return shown
+
+
+def print_calibration(name: str, found: Calibration, notes: Sequence[str], out: Console) -> None:
+    """Print the coefficients, the noise, the fit, outliers, notes, and what is assumed."""
+    out.print(headline(name, found))
+    out.print(f"U = K a + U0, a the specific force in g (+1 g on an upward axis), U in {found.unit}")
+    out.print(coefficients_table(found))
+    if found.sources:
+        out.print(sources_table(found))
+    out.print(_noise_in_words(found))
+    out.print(_fit_in_words(found))
+    for effect, value in found.effects.items():
+        out.print(f"effect {effect} = {value.value:.4g} ± {value.u:.2g} {value.unit}")
+    if find_estimator(found.estimator).drops_outliers and not found.outliers:
+        out.print("outliers: none found")
+    for outlier in found.outliers:
+        out.print(f"outlier: {outlier.text()}; it has no weight")
+    if found.free is not None:
+        without = ", without the outliers" if found.outliers else ""
+        rms_ug = found.modulus_rms_g * 1e6
+        out.print(f"modulus of the free readings: {rms_ug:.3g} µg root mean square from 1 g{without}")
+    print_notes(out, notes)
+    for sentence in found.assumed:
+        out.print(f"assumed: {sentence}")
+
+
+def _noise_in_words(found: Calibration) -> str:
+    noise = found.noise
+    scale = scale_for(noise.reading, found.unit)
+    said = f"noise (1 sigma, from {noise.source}): reading {noise.reading / scale.size:.3g} {scale.unit}"
+    if not len(found.fitted):
+        return said
+    said += f", setting of the head {noise.setting_rad / ARCSEC:.2g} arcsec"
+    if noise.setting_limits_rad is not None:
+        low, high = (limit / ARCSEC for limit in noise.setting_limits_rad)
+        said += f" (95 %: {low:.2g} to {high:.2g})"
+    return said
+
+
+def _fit_in_words(found: Calibration) -> str:
+    fit = found.lack_of_fit
+    if not math.isfinite(fit.p):
+        return "lack of fit: too few repeats to tell"
+    verdict = "none shown at 1 %"
+    if fit.shown:
+        how = "; u holds what repeats share" if found.shared else ""
+        how = f"; u is {found.birge:.2g} times that of the noise" if found.birge > 1 else how
+        verdict = f"THE MODEL DOES NOT FIT the readings{how}"
+    return f"lack of fit against the repeats: chi2 {fit.chi2:.1f} for {fit.dof}, p = {fit.p:.2g}: {verdict}"

@@ -1,0 +1,326 @@
+"""The results of `bench verify` and `bench report`: Δg at the verification points as JSON, words, table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, Literal
+
+from pydantic import Field
+from rich.console import Console
+from rich.table import Table
+
+from bench.base.result_model import Matrix, Real, ResultModel
+from bench.base.tables import print_notes, table
+from bench.calibration.conformity import NON_BINARY, SIMPLE, DecisionRule, Statement
+from bench.calibration.verification import Verification
+from bench.results.parts import BenchPart, CorrectionPart
+
+
+class PointPart(ResultModel):
+    """A verification point."""
+
+    angle_deg: float = Field(description="of the head")
+    pass_number: int = Field(alias="pass")
+    point: int
+    g_p: float = Field(description="modulus of the measured specific force, local g")
+    delta_g: float = Field(description="g_p − 1, local g")
+    u: float = Field(description="standard uncertainty of delta_g")
+    U: float = Field(description="expanded uncertainty of delta_g, g")
+    k: float = Field(description="coverage factor, U = k u")
+    dof: Real = Field(description="degrees of freedom of u; null: infinite")
+    tur: Real = Field(description="test uncertainty ratio, limit over U")
+    accepted_up_to: float = Field(description="largest |Δg| that the rule accepts here, g")
+    passed: bool = Field(description="whether the rule accepts it")
+    statement: Statement
+    p_false_accept: float | None = Field(
+        description="probability that the true error is outside the limit; null where the point is not accepted"
+    )
+    p_false_reject: float | None = Field(
+        description="probability that the true error is within the limit; null where the point is not rejected"
+    )
+
+
+class PopulationPart(ResultModel):
+    """Δg over many blocks as stated, g."""
+
+    mean: float
+    standard_deviation: float
+
+
+class GlobalRiskPart(ResultModel):
+    """What the rule does to all blocks of a population, at the point with the largest U."""
+
+    false_accept: float = Field(description="part of all blocks that is accepted without conforming")
+    false_reject: float = Field(description="part of all blocks that is not accepted and conforms")
+    population: PopulationPart
+
+
+class VerdictPart(ResultModel):
+    """Δg at the verification points against the limit."""
+
+    limit_g: float = Field(description="limit of |Δg|, local g")
+    rule: Literal["simple acceptance", "guarded", "non-binary"] = Field(description="decision rule")
+    guard_band: float = Field(
+        description="guard band w of the statements over U; where false_acceptance is set that of a normal "
+        "distribution, exactly it is in accepted_up_to; simple acceptance takes none of it off the limit"
+    )
+    false_acceptance: float | None = Field(
+        description="probability of a false acceptance that sets the guard band, of the rule that nobody states; "
+        "else null"
+    )
+    passed: bool = Field(description="whether all points are accepted by the rule and none is missing")
+    statement: Statement = Field(
+        description="that on the worst point; inconclusive: U exceeds the limit; not complete: points are missing"
+    )
+    missing: int = Field(description="points that were planned and are not there")
+    U: float = Field(description="largest expanded uncertainty of the points, g")
+    tur: Real = Field(description="least test uncertainty ratio, limit over U")
+    p_false_accept: float | None = Field(
+        description="probability that the true error is outside the limit at one point at least, all points judged "
+        "together; null where not accepted, but of a conditional pass that is left to the customer"
+    )
+    p_false_accept_worst: float | None = Field(description="the same of that point alone where it is largest")
+    p_false_reject: float | None = Field(
+        description="probability that the true errors are within the limit at all points; null where nothing is "
+        "rejected"
+    )
+    global_risk: GlobalRiskPart | None = Field(description="null without a stated population")
+    points: list[PointPart]
+    covariance: Matrix = Field(description="of Δg at the points in their order, g²")
+
+
+class VerifyResult(VerdictPart):
+    """Δg at the verification points against the limit.
+
+    With several sources a list of these, and of `source-failed` where one could not be evaluated.
+    """
+
+    notes: list[str] = Field(description="what the statements mean and what can be done")
+    bench: BenchPart
+    corrections: list[CorrectionPart] = Field(
+        description="the certificates of the instruments; without any an empty list"
+    )
+
+
+class ReportResult(ResultModel):
+    """Where the page of a calibration is, and the verification in it."""
+
+    report: str = Field(description="path of the page")
+    bench: BenchPart
+    verification: VerifyResult | None = Field(description="null without verification points")
+
+
+def verdict_members(found: Verification) -> dict[str, Any]:
+    """Return the members of a verdict that are not attributes of the verification."""
+    risk, population, accepted = found.global_risk, found.population, found.passed or found.left_open
+    return {
+        **found.decision.to_json(),
+        "U": found.expanded,
+        "p_false_accept": found.p_outside if accepted else None,
+        "p_false_accept_worst": found.p_outside_worst if accepted else None,
+        "p_false_reject": 1.0 - found.p_outside if found.rejected else None,
+        "global_risk": risk and population and {**vars(risk), "population": population},
+    }
+
+
+def verdict_part(found: Verification) -> VerdictPart:
+    """Return a verification as results have it."""
+    return VerdictPart.from_object(found, **verdict_members(found))
+
+
+def verify_result(found: Verification, **made_from: Any) -> VerifyResult:
+    """Return a verification as `--json` writes it; `made_from` are the members from `notes` on."""
+    return VerifyResult.from_object(found, **verdict_members(found), **made_from)
+
+
+# --- as a table -------------------------------------------------------------------------------------
+
+
+def verification_table(found: Verification) -> Table:
+    """Return Δg at each verification point, the statement, and the risk that the decision is wrong."""
+    guarded = found.rule != SIMPLE
+    expanded = ">U (k=2)" if all(p.k == 2.0 for p in found.points) else ">U (95.45 %)"
+    shown = table(
+        "verification point", ">angle", ">Δg", ">u", expanded, *([">accepted up to"] * guarded),
+        ">false accept", ">false reject", "statement",
+    )  # fmt: skip
+    for p in found.points:
+        up_to = f"{p.accepted_up_to * 1e6:.1f} µg" if p.accepted_up_to > 0 else "nothing"
+        shown.add_row(
+            f"pass {p.pass_number} point {p.point}",
+            f"{p.angle_deg:.4f}°",
+            f"{p.delta_g * 1e6:+.1f} µg",
+            f"{p.u * 1e6:.1f} µg",
+            f"{p.U * 1e6:.1f} µg",
+            *([up_to] * guarded),
+            optional_probability(p.p_false_accept),
+            optional_probability(p.p_false_reject),
+            str(p.statement),
+        )
+    return shown
+
+
+def print_verification(found: Verification, notes: Sequence[str], out: Console) -> None:
+    """Print Δg at each verification point, and the notes."""
+    out.print(verification_table(found))
+    print_notes(out, notes)
+
+
+# --- in words ---------------------------------------------------------------------------------------
+
+
+HEADLINES: Final = {
+    Statement.PASS: "passed",
+    Statement.CONDITIONAL_PASS: "conditional pass",
+    Statement.CONDITIONAL_FAIL: "conditional fail",
+    Statement.INCONCLUSIVE: "inconclusive",
+    Statement.NOT_COMPLETE: "not complete",
+    Statement.FAIL: "failed",
+}
+"""What the verdict on a whole verification is called."""
+
+_LEAST_SHOWN: Final = 1e-4
+_MOST: Final = 2
+"""So many contributions to u are named."""
+
+
+def headline(result: Verification, *, upper: bool = False) -> str:
+    """Return the verdict in a word or two; of a conditional pass, whether the rule accepts it."""
+    word = HEADLINES[result.statement]
+    word = word.upper() if upper else word
+    if result.statement is Statement.CONDITIONAL_PASS:
+        left_open = "for the customer to accept" if result.left_open else "not accepted"
+        return f"{word}, {'accepted' if result.passed else left_open}"
+    return word
+
+
+def rule_in_words(rule: DecisionRule) -> str:
+    """Return what a decision rule accepts, with its source."""
+    if rule.name == SIMPLE:
+        return (
+            "accepted when |Δg| ≤ limit at every verification point; no guard band is taken off the limit "
+            "(JCGM 106:2012, 8.2)"
+        )
+    if rule.guard_band is None:
+        band = "w = 1.645 u, or what is 5 % where degrees of freedom, both limits or a population count"
+        sure = f"the probability of a false acceptance is at most 5 % at every verification point ({band})"
+        return (
+            f"accepted when {sure}; what lies between there and the limit is conditional, and the customer's to "
+            "accept (JCGM 106:2012, 8.3.2; ILAC-G8:09/2019)"
+        )
+    times = "" if rule.guard_band == 1.0 else f"{rule.guard_band:g} "
+    accepted = (
+        f"accepted when |Δg| + {times}U ≤ limit at every verification point; a guard band w = {times}U is taken "
+        "off the limit (JCGM 106:2012, 8.3.2; ILAC-G8:09/2019)"
+    )
+    if rule.name != NON_BINARY:
+        return accepted
+    return f"{accepted}; what lies within w of the limit is conditional, and the customer's to accept"
+
+
+def probability_in_words(p: float) -> str:
+    """Return a probability with two digits: "0.012", "< 0.0001"."""
+    if p < _LEAST_SHOWN:
+        return f"< {_LEAST_SHOWN:g}"
+    return f"{p:.2g}" if p < 1.0 - _LEAST_SHOWN else f"> {1.0 - _LEAST_SHOWN:g}"
+
+
+def optional_probability(p: float | None) -> str:
+    """Return a probability with two digits, a dash where there is none."""
+    return "–" if p is None else probability_in_words(p)
+
+
+def risk_in_words(result: Verification) -> str:
+    """Return the specific risk of the decision, of all points together and of the worst; empty without one."""
+    if result.passed or result.left_open:
+        of_all, worst = (probability_in_words(p) for p in (result.p_outside, result.p_outside_worst))
+        single = "" if of_all == worst else f" ({worst} at the worst point)"
+        accepted = " if it is accepted" if result.left_open else ""
+        return f"probability of false acceptance{accepted} {of_all}{single}"
+    if result.rejected:
+        return f"probability of false rejection {probability_in_words(1.0 - result.p_outside)}"
+    return ""
+
+
+def verdict_line(name: str, result: Verification) -> str:
+    """Return the verdict on what is called `name` in one line."""
+    worst = result.worst
+    facts = [
+        f"worst |Δg| = {abs(worst.delta_g) * 1e6:.1f} µg ± {worst.U * 1e6:.1f} µg (U, k = {worst.k:.3g})",
+        f"limit {result.limit_g * 1e6:.4g} µg",
+        f"rule: {result.decision.words}",
+        f"TUR {result.tur:.2g}",
+        risk_in_words(result),
+        f"{result.missing} verification points are missing" if result.missing else "",
+    ]
+    return f"{name}: {headline(result, upper=True)}: {', '.join(fact for fact in facts if fact)}"
+
+
+def advice(result: Verification) -> tuple[str, ...]:
+    """Return what the statements mean and what can be done, a sentence each."""
+    number = {s: sum(p.statement is s for p in result.points) for s in Statement}
+    sentences = {
+        Statement.FAIL: (
+            "beyond the limit by more than the guard band: 'bench diagnose' tells what is wrong with block, stand "
+            "or procedure"
+        ),
+        Statement.INCONCLUSIVE: (
+            f"inconclusive: U, up to {result.expanded * 1e6:.0f} µg, is larger than the limit of "
+            f"{result.limit_g * 1e6:.4g} µg, so nothing can be said safely, neither that the block "
+            "conforms nor that it does not; more passes, a better voltmeter or a better known stand make U "
+            "smaller, and 'bench budget' says what makes most of it"
+        ),
+        Statement.CONDITIONAL_FAIL: (
+            "beyond the limit by less than the guard band: the block may conform all the same; a smaller U "
+            "tells, and 'bench budget' says what makes most of it"
+        ),
+        Statement.CONDITIONAL_PASS: (
+            "within the limit by less than the guard band: the block may not conform all the same; a smaller U "
+            "tells, and 'bench budget' says what makes most of it"
+        ),
+    }
+    of = f"of {len(result.points)} verification points"
+    found = [f"{number[s]} {of} {sentence}" for s, sentence in sentences.items() if number[s]]
+    if result.missing:
+        found.append(
+            f"{result.missing} verification points are missing, and nothing is accepted without them: "
+            "measure them, too"
+        )
+    return (*found, *_to_pass(result))
+
+
+def _to_pass(result: Verification) -> Iterator[str]:
+    """Say what would make it pass, and what makes most of u at the point that is furthest from it."""
+    needed = result.to_pass
+    if needed is None:
+        return
+    point = needed.point
+    at = result.points.index(point)
+    parts = {name: math.sqrt(max(part[at, at], 0.0)) for name, part in result.contributions.items()}
+    most = sorted(parts, key=lambda name: -parts[name])[:_MOST]
+    of_which = ", ".join(f"{name.replace('_', ' ')} {parts[name] * 1e6:.0f} µg" for name in most)
+    of_which = f" ({of_which})" if most else ""
+    smaller = (
+        "no smaller u makes it pass"
+        if needed.u_times is None
+        else f"u(Δg) up to {needed.u_times * point.u * 1e6:.3g} µg"
+    )
+    yield (
+        f"to pass: {smaller} at pass {point.pass_number} point {point.point}, where it is {point.u * 1e6:.3g} µg"
+        f"{of_which}; or a limit from {math.ceil(needed.limit_g * 1e6)} µg, if that is agreed"
+    )
+
+
+def global_risk_in_words(result: Verification) -> tuple[str, ...]:
+    """Return what the rule does to all blocks of the stated population, nothing where none is stated."""
+    risk, population = result.global_risk, result.population
+    if risk is None or population is None:
+        return ()
+    return (
+        f"of all blocks with Δg of mean {population.mean * 1e6:.3g} µg and standard deviation "
+        f"{population.standard_deviation * 1e6:.3g} µg, as stated, this check accepts "
+        f"{probability_in_words(risk.false_accept)} without conforming and does not accept "
+        f"{probability_in_words(risk.false_reject)} that conform (global risks, at the largest U); the risks of "
+        "this block are those of one of them that was measured so (JCGM 106:2012, A.4)",
+    )

@@ -1,0 +1,20 @@
+"""What a calibration and a verification are as JSON, where no source stands behind them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bench.calibration import Calibration, Verification
+from bench.results.calibration import calibrate_result
+from bench.results.verification import verdict_part
+
+
+def calibration_json(found: Calibration) -> dict[str, Any]:
+    """Return what `bench calibrate --json` writes of a calibration."""
+    of_source = {"source": "readings", "made_at": None, "unit_under_test": None, "simulated": False}
+    return calibrate_result(found, **of_source, meters=[], notes=[], skipped_rows=[]).to_dict()
+
+
+def verification_json(found: Verification) -> dict[str, Any]:
+    """Return what `bench verify --json` writes of a verification."""
+    return verdict_part(found).to_dict()
