@@ -235,7 +235,7 @@ _NEVER: Final = (
 def _meters() -> list[Any]:
     from bench.model import Block, ForwardModel
     from bench.model.geometry import INSTALLATION_1
-    from sim.agilent_34401a.meter import Agilent34401A
+    from sim.agilent_34401a import Agilent34401A
     from sim.keithley_2000 import Keithley2000
     from sim.keysight_34461a import Keysight34461A
     from sim.keysight_34970a import Keysight34970A

@@ -11,12 +11,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal
 
 from drivers.facts import keithley_2000 as facts
-from sim.agilent_34401a.functions import Function, FunctionSettings
-from sim.scpi import Command, ScpiInstrument
+from sim.scpi import Command, ScpiInstrument, switch_lines
 from sim.scpi_values import (
     MAX,
     MIN,
-    Boolean,
     Choice,
     Number,
     ScpiError,
@@ -27,7 +25,15 @@ from sim.scpi_values import (
     quoted,
     within,
 )
-from sim.voltmeters import Accuracy, Converter, MeasuringCycle, MeteredSignal, reading_text
+from sim.voltmeters import (
+    Accuracy,
+    Converter,
+    Function,
+    FunctionSettings,
+    MeasuringCycle,
+    MeteredSignal,
+    reading_text,
+)
 from sim.wires.session import LineEnds
 
 if TYPE_CHECKING:
@@ -53,7 +59,7 @@ class Measuring:
     relative: bool = False
     function: Function = _DC_VOLTS
     bandwidth_hz: float = 20.0
-    settings: FunctionSettings = field(default_factory=lambda: FunctionSettings(1000.0, 1e-6, 0.0))
+    settings: FunctionSettings = field(default_factory=lambda: FunctionSettings(1000.0, 1e-6))
 
     def set_nplc(self, nplc: float) -> None:
         """Set the integration, and with it the resolution."""
@@ -228,18 +234,18 @@ class Keithley2000(ScpiInstrument):
             Command("[SENSe[1]:]FUNCtion?", lambda: quoted("VOLT:DC")),
             Command(f"{volts}:RANGe[:UPPer]", self._set_range, (Number("V"),)),
             Command(f"{volts}:RANGe[:UPPer]?", lambda: f"{self._settings.range_value:.6E}"),
-            *self._switch(f"{volts}:RANGe:AUTO", lambda: self._settings, "autorange"),
+            *switch_lines(f"{volts}:RANGe:AUTO", lambda: self._settings, "autorange"),
             Command(f"{volts}:NPLCycles", self._set_nplc, (Number(),)),
             Command(f"{volts}:NPLCycles?", lambda: f"{self.buffer.measuring.nplc:.2f}"),
-            *self._switch(f"{volts}:AVERage:STATe", lambda: self.buffer.measuring, "averages"),
-            *self._switch(f"{volts}:REFerence:STATe", lambda: self.buffer.measuring, "relative"),
+            *switch_lines(f"{volts}:AVERage:STATe", lambda: self.buffer.measuring, "averages"),
+            *switch_lines(f"{volts}:REFerence:STATe", lambda: self.buffer.measuring, "relative"),
         ]
 
     def _trigger_commands(self) -> list[Command]:
         buffer = self.buffer
         return [
             Command("INITiate[:IMMediate]", buffer.initiate),
-            *self._switch("INITiate:CONTinuous", lambda: buffer, "continuous"),
+            *switch_lines("INITiate:CONTinuous", lambda: buffer, "continuous"),
             Command("ABORt", buffer.abort),
             Command("READ?", buffer.read),
             Command("FETCh?", buffer.fetch),
@@ -247,7 +253,7 @@ class Keithley2000(ScpiInstrument):
             Command("*WAI", lambda: None),
             Command("TRIGger:SOURce", self._set_source, (Choice(("IMMediate", "BUS")),)),
             Command("TRIGger:SOURce?", lambda: buffer.source),
-            *self._switch("TRIGger:DELay:AUTO", lambda: buffer, "automatic_delay"),
+            *switch_lines("TRIGger:DELay:AUTO", lambda: buffer, "automatic_delay"),
             *self._count("TRIGger:COUNt", "trigger_count"),
             *self._count("SAMPle:COUNt", "sample_count"),
         ]
@@ -267,7 +273,7 @@ class Keithley2000(ScpiInstrument):
 
     def _system_commands(self) -> list[Command]:
         return [
-            *self._switch("SYSTem:AZERo:STATe", lambda: self.buffer.measuring, "autozero"),
+            *switch_lines("SYSTem:AZERo:STATe", lambda: self.buffer.measuring, "autozero"),
             Command("SYSTem:PRESet", self._preset),
             Command("SYSTem:REMote", lambda: None),
             Command("SYSTem:LOCal", lambda: None),
@@ -275,13 +281,6 @@ class Keithley2000(ScpiInstrument):
             Command("FORMat[:DATA]?", lambda: "ASC"),
             Command("FORMat:ELEMents", lambda _: None, (Choice(("READing",)),)),
             Command("FORMat:ELEMents?", lambda: "READ"),
-        ]
-
-    def _switch(self, notation: str, holder: Callable[[], object], name: str) -> list[Command]:
-        """Return the command and the query of something that is on or off."""
-        return [
-            Command(notation, lambda flag: setattr(holder(), name, flag == "1"), (Boolean(),)),
-            Command(f"{notation}?", lambda: str(int(getattr(holder(), name)))),
         ]
 
     def _count(self, notation: str, name: str) -> list[Command]:

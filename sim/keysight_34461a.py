@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from drivers.facts.agilent_34401a import IDENTITY as IDENTITY_34401A
 from drivers.facts.keysight_34461a import IDENTITY, INTERFACES, MEMORY_READINGS, MODEL, MOST_SAMPLES
-from sim.agilent_34401a.meter import Agilent34401A
-from sim.agilent_34401a.trigger import Trigger
+from sim.agilent_34401a import Agilent34401A, Trigger
 from sim.scpi import Command
-from sim.scpi_values import Boolean, Choice, numbered
+from sim.scpi_values import Choice, numbered
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
@@ -53,12 +52,9 @@ class Keysight34461A(Agilent34401A):
         self.add(self._truevolt_commands())
 
     def _truevolt_commands(self) -> list[Command]:
-        configuration = self.configuration
         return [
-            Command("[SENSe:]VOLTage[:DC]:ZERO:AUTO", configuration.set_autozero, (Boolean(("ONCE",)),)),
-            Command("[SENSe:]VOLTage[:DC]:ZERO:AUTO?", lambda: str(int(configuration.autozero))),
-            Command("[SENSe:]VOLTage[:DC]:IMPedance:AUTO", configuration.set_high_impedance, (Boolean(),)),
-            Command("[SENSe:]VOLTage[:DC]:IMPedance:AUTO?", lambda: str(int(configuration.high_impedance))),
+            *self.configuration.autozero_lines("[SENSe:]VOLTage[:DC]:ZERO:AUTO"),
+            *self.configuration.impedance_lines("[SENSe:]VOLTage[:DC]:IMPedance:AUTO"),
             Command("SYSTem:IDENtify", self._identify, (Choice(("DEFault", "HP34401A")),)),
             Command("SYSTem:IDENtify?", lambda: "DEF" if self.identity == self._own_identity else "HP34401A"),
         ]

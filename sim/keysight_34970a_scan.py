@@ -10,10 +10,16 @@ from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 from drivers.facts import keysight_34970a as facts
 from drivers.facts.agilent_34401a import OVERLOAD_V
 from drivers.facts.keysight_34970a import MEMORY_READINGS, PAIRED
-from sim.agilent_34401a.functions import Function, FunctionSettings, chosen_range, chosen_resolution
 from sim.scpi import Command
 from sim.scpi_values import DEF, INF, MAX, MIN, Boolean, Choice, Number, ScpiError, Value, integer, within
-from sim.voltmeters import MeasuringCycle, reading_text
+from sim.voltmeters import (
+    Function,
+    FunctionSettings,
+    MeasuringCycle,
+    chosen_range,
+    chosen_resolution,
+    reading_text,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -25,7 +31,7 @@ if TYPE_CHECKING:
 
 # --- channels ---------------------------------------------------------------------------------------
 
-TEMPERATURE: Final = Function("TEMP", "TEMPerature", "C", (1.0,), facts.NPLC_BY_RESOLUTION, "TEMPerature")
+TEMPERATURE: Final = Function("TEMP", "TEMPerature", "C", (1.0,), facts.NPLC_BY_RESOLUTION)
 KINDS: Final = ("TCouple", "RTD", "FRTD", "THERmistor")
 _TYPES: Final = {"RTD": (85, 91), "FRTD": (85, 91), "THER": (2252, 5000, 10000)}
 _ILLEGAL: Final = -224
@@ -58,9 +64,7 @@ class Transducer:
         return cls(kind, number)
 
 
-DC_VOLTS: Final = Function(
-    "VOLT", "VOLTage[:DC]", "V", facts.RANGES_V, facts.NPLC_BY_RESOLUTION, "VOLTage[:DC]"
-)
+DC_VOLTS: Final = Function("VOLT", "VOLTage[:DC]", "V", facts.RANGES_V, facts.NPLC_BY_RESOLUTION)
 CARDS: Final = {facts.CARD: (*facts.CARD_CHANNELS, *facts.CURRENT_CHANNELS)}
 
 WRONG_LIST: Final = 309
@@ -132,7 +136,7 @@ class ChannelConfiguration:
 
     def preset(self) -> None:
         """Set what *RST and CONFigure set: autorange, 1 PLC, autozero, 10 MOhm, automatic delay."""
-        self.settings = FunctionSettings(10.0, _DEFAULT_RESOLUTION, 0.0)
+        self.settings = FunctionSettings(10.0, _DEFAULT_RESOLUTION)
         self.autozero = True
         self.high_impedance = False
         self.stated_delay_s: float | None = None

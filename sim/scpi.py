@@ -13,7 +13,10 @@ from typing import TYPE_CHECKING, Final
 
 from sim.scpi_values import (
     ERRORS,
+    MAX,
+    MIN,
     OPERATION_COMPLETE,
+    Boolean,
     ErrorQueue,
     Number,
     ScpiError,
@@ -239,6 +242,43 @@ class ScpiInstrument:
 
     def _set_power_on_clear(self, flag: float) -> None:
         self.status.power_on_clear = round(flag) != 0
+
+
+def switch_lines(
+    notation: str,
+    holder: Callable[[], object],
+    name: str,
+    words: tuple[str, ...] = (),
+    changed: Callable[[], None] = lambda: None,
+) -> list[Command]:
+    """Return command and query of an attribute that is on or off; one of the further `words` sets it off.
+
+    `holder` returns the object that has the attribute now, `changed` is called after the command.
+    """
+
+    def switch(flag: str) -> None:
+        setattr(holder(), name, flag == "1")
+        changed()
+
+    return [
+        Command(notation, switch, (Boolean(words),)),
+        Command(f"{notation}?", lambda: str(int(getattr(holder(), name)))),
+    ]
+
+
+def number_lines(
+    notation: str,
+    unit: str,
+    ends: tuple[float, float],
+    get: Callable[[], float],
+    put: Callable[[float], None],
+) -> list[Command]:
+    """Return command and query of a number; MIN and MAX stand for its `ends`, in the query too."""
+    words = dict(zip((MIN, MAX), ends, strict=True))
+    return [
+        Command(notation, lambda v: put(words[v] if isinstance(v, str) else v), (Number(unit),)),
+        Command(f"{notation}?", lambda word="": f"{words.get(word, get()):+.6E}", (Number(optional=True),)),
+    ]
 
 
 def check_header(header: str) -> None:

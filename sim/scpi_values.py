@@ -315,17 +315,6 @@ class Text:
         return inner.replace(quote * 2, quote)
 
 
-@dataclass(frozen=True)
-class Word:
-    """Any word, with or without quotes, such as a security code."""
-
-    optional: bool = False
-
-    def parse(self, text: str) -> Value:
-        """Return the word as it was sent."""
-        return text.strip("\"'")
-
-
 @lru_cache
 def _number_word(word: str) -> re.Pattern[str]:
     notation = {MIN: "MINimum", MAX: "MAXimum", DEF: "DEFault", INF: "INFinity"}[word]

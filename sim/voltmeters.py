@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 from drivers.facts.agilent_34401a import OVERLOAD_V
 from sim.scpi import Command, DeviceClear, ScpiInstrument, never
-from sim.scpi_values import ScpiError
+from sim.scpi_values import DEF, MAX, MIN, ScpiError, Value, next_above
 from sim.world.clock import VirtualClock, wait_until
 
 if TYPE_CHECKING:
@@ -20,7 +21,78 @@ if TYPE_CHECKING:
     import numpy as np
 
     from drivers.clock import Clock
-    from sim.agilent_34401a.functions import Function, FunctionSettings
+
+# --- measuring functions ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Function:
+    """A measuring function: its name in replies, its notation in commands, its ranges in `unit` (rising).
+
+    `integration` gives for each resolution (fraction of the range) the integration in power-line cycles, or the
+    gate time in s; `keyword` is the SENSe node that sets it, empty where none does. `settings_of` names the
+    function whose range and resolution it has; a `fixed` one has nothing to set. `expected` bounds the signal
+    that CONFigure takes where the range is that of the input voltage.
+    """
+
+    name: str
+    notation: str
+    unit: str
+    ranges: tuple[float, ...]
+    integration: Mapping[float, float]
+    keyword: str = "NPLCycles"
+    settings_of: str = ""
+    fixed: bool = False
+    expected: tuple[float, float] | None = None
+
+    @property
+    def has_nplc(self) -> bool:
+        """Whether it integrates over power-line cycles and its autozero doubles the time."""
+        return self.keyword == "NPLCycles"
+
+    @property
+    def has_aperture(self) -> bool:
+        """Whether it counts over a gate time."""
+        return self.keyword == "APERture"
+
+    @property
+    def default_resolution(self) -> float:
+        """The resolution that DEF stands for: 10 power-line cycles, 0.1 s gate time."""
+        return 1e-5 if self.has_aperture else 1e-6
+
+
+@dataclass
+class FunctionSettings:
+    """Range, autorange and resolution (fraction of the range) of one function; `expected` as in CONFigure."""
+
+    range_value: float
+    resolution: float
+    expected: float = 0.0
+    autorange: bool = True
+
+
+def chosen_range(function: Function, value: Value) -> float:
+    """Return the smallest range that holds `value`; MIN and MAX are the ends. Raises -222."""
+    if isinstance(value, str):
+        return function.ranges[0] if value == MIN else function.ranges[-1]
+    return next_above(value, function.ranges)
+
+
+def chosen_resolution(function: Function, value: Value, full_scale: float) -> float:
+    """Return the coarsest resolution (fraction of the range) that is at least as fine as `value`.
+
+    Raises `ScpiError` 532 when even the finest is too coarse, -222 for a resolution that is not positive.
+    """
+    steps = function.integration
+    if isinstance(value, str):
+        return {MIN: min(steps), MAX: max(steps), DEF: function.default_resolution}[value]
+    if value <= 0.0:
+        raise ScpiError(-222)
+    fitting = [step for step in steps if step * full_scale <= value * (1.0 + 1e-6)]
+    if not fitting:
+        raise ScpiError(532)
+    return max(fitting)
+
 
 # --- the converter ----------------------------------------------------------------------------------
 # Source: 34401A User's Guide (34401-90004), chapter 8, specifications; noise per integration time as

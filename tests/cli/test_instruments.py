@@ -22,7 +22,7 @@ from bench.services import instruments as command
 from drivers.clock import SystemClock
 from drivers.interfaces import BenchError, Identity, InstrumentLost, InstrumentRefused, SelfTesting
 from drivers.wire.resources import SOCKETS, SerialPort, discover
-from sim.agilent_34401a.meter import Agilent34401A
+from sim.agilent_34401a import Agilent34401A
 from sim.bench import SimulatedBench
 from sim.wires.faults import Fault, FaultKind
 from sim.world.clock import VirtualClock

@@ -10,7 +10,7 @@ import numpy as np
 from bench.model import Block, ForwardModel
 from bench.model.geometry import INSTALLATION_1
 from drivers.interfaces import Channel
-from sim.agilent_34401a.meter import Agilent34401A
+from sim.agilent_34401a import Agilent34401A
 from sim.bench import SimulatedBench
 from sim.wires.prologix import GpibAdapter
 from sim.world.clock import VirtualClock

@@ -11,7 +11,7 @@ from bench.model import Block, Distribution, ForwardModel
 from bench.model.geometry import INSTALLATION_1
 from drivers.interfaces import Channel
 from drivers.wire.visa import MessageSession, Wire
-from sim.agilent_34401a.meter import Agilent34401A
+from sim.agilent_34401a import Agilent34401A
 from sim.bench import SimulatedMeter
 from sim.wires.server import TcpServer
 from sim.wires.session import Dialect, FaultHook, ServedInstrument, Traffic

@@ -21,7 +21,7 @@ DEVICE = Device(
     "agilent-34401a",
     Agilent34401ASection,
     driver="drivers.instruments.agilent_34401a:Agilent34401A",
-    simulation="sim.agilent_34401a.meter:Agilent34401A",
+    simulation="sim.agilent_34401a:Agilent34401A",
     example={"channels": ["x"], "resource": "GPIB0::22::INSTR", "interface": "gpib"},
     simulated=("noise", "accuracy"),
 )

@@ -33,7 +33,7 @@ class Section(OneChannelForm):
 
 
 DEVICE = Device(
-    "NAME", Section, driver=".own_driver:Meter", simulation="sim.agilent_34401a.meter:Agilent34401A",
+    "NAME", Section, driver=".own_driver:Meter", simulation="sim.agilent_34401a:Agilent34401A",
     example={"channels": ["x"], "resource": "GPIB0::5::INSTR"}, simulated=("noise", "accuracy"),
 )
 """

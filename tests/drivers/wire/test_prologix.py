@@ -15,7 +15,7 @@ from drivers.interfaces import InstrumentLost, VoltmeterSettings
 from drivers.wire.prologix import parse
 from drivers.wire.pyvisa_connection import WireError
 from drivers.wire.visa import MessageSession
-from sim.agilent_34401a.meter import Agilent34401A
+from sim.agilent_34401a import Agilent34401A
 from sim.bench import SimulatedBench
 from sim.wires.prologix import AdapterSettings, GpibAdapter
 from tests.support.gpib_bus import ADDRESSES, IDENTITY, NO_ERROR, Bus, a_world, served

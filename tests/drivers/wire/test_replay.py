@@ -22,7 +22,7 @@ from drivers.interfaces import BadReading, BenchError, InstrumentLost, Voltmeter
 from drivers.motion import Travel
 from drivers.wire.replay import Deviation, Replay, WireLog, WireLogError, exchanges, main, read_log, replayed
 from drivers.wire.visa import MessageSession
-from sim.agilent_34401a.meter import Agilent34401A as SimulatedMeter
+from sim.agilent_34401a import Agilent34401A as SimulatedMeter
 from sim.world.world import Terminals
 from tests.drivers.wire.test_faulty_wire import CHAMBERS, DEG, HEADS, at_random, dialect
 from tests.support.scripted_session import ScriptedSession

@@ -12,7 +12,7 @@ import pytest
 
 from bench.model import Block, ForwardModel
 from bench.model.geometry import INSTALLATION_1
-from sim.agilent_34401a.meter import Agilent34401A
+from sim.agilent_34401a import Agilent34401A
 from sim.bench import SimulatedBench
 from sim.scpi import never
 from sim.wires.faults import Fault, FaultKind, FaultyInstrument

@@ -21,7 +21,7 @@ from drivers.clock import SystemClock
 from drivers.instruments.agilent_34401a import Agilent34401A as Driver
 from drivers.interfaces import VoltmeterSettings
 from drivers.wire.visa import MessageSession
-from sim.agilent_34401a.meter import Agilent34401A
+from sim.agilent_34401a import Agilent34401A
 from sim.bench import SimulatedBench
 from sim.wires.server import TERMINALS, TerminalServer
 from sim.wires.session import ServedInstrument

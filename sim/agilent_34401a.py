@@ -1,0 +1,557 @@
+"""A simulated HP/Agilent 34401A multimeter on one channel of the world.
+
+It answers what drivers and other people's clients ask. Every function can be set, read back and measured, with
+readings as of a meter that has nothing but a DC voltage at its terminals. Of the math operations it has the
+average, which leaves readings as they are; it has no calibration, and nothing gives an external trigger.
+Source: 34401A User's Guide (34401-90004), chapters 3-5; chapter 8, specifications.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from drivers.facts import agilent_34401a as facts
+from sim.scpi import Command, number_lines, switch_lines
+from sim.scpi_values import (
+    DEF,
+    DEVICE_ERROR,
+    INF,
+    MAX,
+    MIN,
+    Boolean,
+    Choice,
+    CommandParameter,
+    Number,
+    ScpiError,
+    Text,
+    Value,
+    integer,
+    next_above,
+    next_below,
+    notation_pattern,
+    quoted,
+    within,
+)
+from sim.voltmeters import (
+    VOLT_OVERLOAD,
+    Accuracy,
+    Converter,
+    Function,
+    FunctionSettings,
+    Interface,
+    LineMeter,
+    MeasuringCycle,
+    MeteredSignal,
+    TriggerState,
+    chosen_range,
+    chosen_resolution,
+    reading_text,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from drivers.clock import Clock
+
+# --- functions and their settings -------------------------------------------------------------------
+
+_NPLC: Final = facts.NPLC_BY_RESOLUTION
+_GATE_S: Final = {1e-6: 1.0, 1e-5: 0.1, 1e-4: 0.01}
+_ON_DISPLAY: Final = {1e-6: 0.0, 1e-5: 0.0, 1e-4: 0.0}
+_BANDWIDTHS_HZ: Final = (3.0, 20.0, 200.0)
+_DEFAULT_BANDWIDTH_HZ: Final = 20.0
+_DC_V: Final = facts.RANGES_V
+_AC_V: Final = (0.1, 1.0, 10.0, 100.0, 750.0)
+_OHM: Final = (1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8)
+
+FUNCTIONS: Final[dict[str, Function]] = {
+    function.name: function
+    for function in (
+        Function("VOLT", "VOLTage[:DC]", "V", _DC_V, _NPLC),
+        Function("VOLT:RAT", "VOLTage[:DC]:RATio", "V", _DC_V, _NPLC, settings_of="VOLT"),
+        Function("VOLT:AC", "VOLTage:AC", "V", _AC_V, _ON_DISPLAY, ""),
+        Function("CURR", "CURRent[:DC]", "A", (0.01, 0.1, 1.0, 3.0), _NPLC),
+        Function("CURR:AC", "CURRent:AC", "A", (1.0, 3.0), _ON_DISPLAY, ""),
+        Function("RES", "RESistance", "OHM", _OHM, _NPLC),
+        Function("FRES", "FRESistance", "OHM", _OHM, _NPLC),
+        Function("FREQ", "FREQuency", "HZ", _AC_V, _GATE_S, "APERture", expected=(3.0, 3e5)),
+        Function("PER", "PERiod", "S", _AC_V, _GATE_S, "APERture", expected=(1 / 3e5, 1 / 3.0)),
+        Function("CONT", "CONTinuity", "OHM", (1e3,), _ON_DISPLAY, "", fixed=True),
+        Function("DIOD", "DIODe", "V", (1.0,), _ON_DISPLAY, "", fixed=True),
+    )
+}
+
+
+def _default_settings(function: Function) -> FunctionSettings:
+    start = 10.0 if 10.0 in function.ranges else function.ranges[0]
+    return FunctionSettings(
+        start, function.default_resolution, function.expected[0] if function.expected else 0.0
+    )
+
+
+class Configuration:
+    """Everything about what is measured and how; `on_change` is called after a command changed it.
+
+    Numbers that are not in a list are set to the accepted one that still does what was asked: the range
+    and the integration above, the detector's bandwidth below, a resolution at least as fine.
+    """
+
+    def __init__(self, on_change: Callable[[], None]) -> None:
+        self._on_change = on_change
+        self.preset()
+
+    def preset(self) -> None:
+        """Set what *RST sets."""
+        self.function = FUNCTIONS["VOLT"]
+        self.by_function = {name: _default_settings(function) for name, function in FUNCTIONS.items()}
+        self.autozero = True
+        self.high_impedance = False
+        self.bandwidth_hz = _DEFAULT_BANDWIDTH_HZ
+
+    @property
+    def settings(self) -> FunctionSettings:
+        """The settings of the function that is selected; the ratio is measured with those of DC volts."""
+        return self.by_function[self.function.settings_of or self.function.name]
+
+    @property
+    def nplc(self) -> float:
+        """Integration of the selected function in power-line cycles (its gate time where it counts)."""
+        return self.function.integration[self.settings.resolution]
+
+    def configure(self, function: Function, range_value: Value = DEF, resolution: Value = DEF) -> None:
+        """CONFigure: select a function with range and resolution, and preset the rest.
+
+        Raises `ScpiError` -222 for a range that there is not, 532 for too fine a resolution, -221 for a
+        number as resolution where the range is left to autorange; nothing is changed then.
+        """
+        fresh = _default_settings(function)
+        if function.expected:
+            low, high = function.expected
+            words = {MIN: low, DEF: low, MAX: high}
+            fresh.expected = words[range_value] if isinstance(range_value, str) else range_value
+            full_scale = within(fresh.expected, low, high)
+        else:
+            if range_value == DEF and not isinstance(resolution, str):
+                raise ScpiError(-221)
+            if range_value != DEF:
+                fresh.range_value = chosen_range(function, range_value)
+                fresh.autorange = False
+            full_scale = fresh.range_value
+        fresh.resolution = chosen_resolution(function, resolution, full_scale)
+        self.function = function
+        self.by_function[function.settings_of or function.name] = fresh
+        self.autozero = not function.has_nplc or self.nplc >= 1.0
+        self.high_impedance = False
+        self.bandwidth_hz = _DEFAULT_BANDWIDTH_HZ
+
+    def description(self) -> str:
+        """Return the reply to CONFigure?, such as `"VOLT +1.000000E+01,+1.000000E-05"` with its quotes."""
+        function, settings = self.function, self.settings
+        if function.fixed:
+            return quoted(function.name)
+        full_scale = settings.expected if function.expected else settings.range_value
+        return quoted(f"{function.name} {full_scale:+.6E},{full_scale * settings.resolution:+.6E}")
+
+    def commands(self) -> list[Command]:
+        """Return the lines of the command table that set and read the configuration."""
+        bandwidths = (_BANDWIDTHS_HZ[0], _BANDWIDTHS_HZ[-1])
+        lines = [
+            Command("CONFigure?", self.description),
+            Command("[SENSe:]FUNCtion", self._select, (Text(),)),
+            Command("[SENSe:]FUNCtion?", lambda: quoted(self.function.name)),
+            *number_lines(
+                "[SENSe:]DETector:BANDwidth", "HZ", bandwidths, lambda: self.bandwidth_hz, self._set_bandwidth
+            ),
+            *self.autozero_lines("[SENSe:]ZERO:AUTO"),
+            *self.impedance_lines("INPut:IMPedance:AUTO"),
+        ]
+        for function in FUNCTIONS.values():
+            if not function.fixed and not function.settings_of:
+                lines += self._range_lines(function) + self._resolution_lines(function)
+        return lines
+
+    def autozero_lines(self, notation: str) -> list[Command]:
+        """Return command and query of autozero; ONCE takes one zero reading and then leaves it off."""
+        return switch_lines(notation, lambda: self, "autozero", ("ONCE",), self._on_change)
+
+    def impedance_lines(self, notation: str) -> list[Command]:
+        """Return command and query of the input's high impedance."""
+        return switch_lines(notation, lambda: self, "high_impedance")
+
+    def _range_lines(self, function: Function) -> list[Command]:
+        node = f"[SENSe:]{function.notation}{':VOLTage' if function.expected else ''}:RANGe"
+        unit = "V" if function.expected else function.unit
+
+        def settings() -> FunctionSettings:
+            return self.by_function[function.name]
+
+        def set_range(value: float) -> None:
+            settings().range_value = next_above(value, function.ranges)
+            settings().autorange = False
+            self._on_change()
+
+        ends = (function.ranges[0], function.ranges[-1])
+        return [
+            *number_lines(node, unit, ends, lambda: settings().range_value, set_range),
+            *switch_lines(f"{node}:AUTO", settings, "autorange", (), self._on_change),
+        ]
+
+    def _resolution_lines(self, function: Function) -> list[Command]:
+        node = f"[SENSe:]{function.notation}"
+        by_integration = {integration: resolution for resolution, integration in function.integration.items()}
+        accepted = sorted(by_integration)
+
+        def settings() -> FunctionSettings:
+            return self.by_function[function.name]
+
+        def set_resolution(value: Value) -> None:
+            settings().resolution = chosen_resolution(function, value, settings().range_value)
+            self._on_change()
+
+        def read_resolution(word: str = "") -> str:
+            limits = {MIN: min(function.integration), MAX: max(function.integration)}
+            return f"{limits.get(word, settings().resolution) * settings().range_value:+.6E}"
+
+        def set_integration(value: float) -> None:
+            wanted = within(value, accepted[0] * (1 - 1e-6), 1e9)
+            settings().resolution = by_integration[next_above(wanted, accepted)]
+            self._on_change()
+
+        lines = []
+        if not function.has_aperture:
+            lines += [
+                Command(f"{node}:RESolution", set_resolution, (Number(function.unit),)),
+                Command(f"{node}:RESolution?", read_resolution, (Number(optional=True),)),
+            ]
+        if function.keyword:
+            lines += number_lines(
+                f"{node}:{function.keyword}",
+                "S" if function.has_aperture else "",
+                (accepted[0], accepted[-1]),
+                lambda: function.integration[settings().resolution],
+                set_integration,
+            )
+        return lines
+
+    def _select(self, name: str) -> None:
+        for function in FUNCTIONS.values():
+            if notation_pattern(function.notation).match(name.strip()):
+                self.function = function
+                self._on_change()
+                return
+        raise ScpiError(-224)
+
+    def _set_bandwidth(self, value: float) -> None:
+        self.bandwidth_hz = next_below(within(value, _BANDWIDTHS_HZ[0], 3e5), _BANDWIDTHS_HZ)
+        self._on_change()
+
+
+# --- trigger system and memory ----------------------------------------------------------------------
+
+_MOST_READINGS: Final = 50_000
+_LONGEST_DELAY_S: Final = 3600.0
+_INFINITE: Final = "9.90000000E+37"
+
+
+class Trigger(MeasuringCycle):
+    """Trigger settings, the measurement under way, and the memory.
+
+    Idle, INITiate or READ?, wait for a trigger, delay, sample. `on_overload` is called for each reading outside
+    the range, `interrupted` tells whether a device clear has come in. A later model has a memory of its own
+    depth, which keeps the latest readings, those of READ? as well.
+    """
+
+    memory_depth = facts.MEMORY_READINGS
+    most_readings = _MOST_READINGS
+    keeps_latest = False
+
+    def __init__(
+        self,
+        clock: Clock,
+        configuration: Configuration,
+        converter: Converter,
+        on_overload: Callable[[], None],
+        interrupted: Callable[[], bool],
+    ) -> None:
+        self._configuration = configuration
+        self._converter = converter
+        self._on_overload = on_overload
+        self._times_s: list[float] = []
+        super().__init__(clock, interrupted)
+
+    def preset(self) -> None:
+        """Set what *RST, CONFigure and MEASure set: one immediate trigger, one sample, automatic delay."""
+        self.source = "IMM"
+        self.stated_delay_s: float | None = None
+        self.trigger_count: float = 1
+        self.sample_count = 1
+        self.stores = True
+        self.averages = False
+        self.averaged: list[float] = []
+
+    def abort(self) -> None:
+        """Go to idle and forget what is stored or under way."""
+        super().abort()
+        self._times_s = []
+
+    def stop_waiting(self) -> None:
+        """Return to idle when waiting for a trigger: the measurement that was asked for is no longer set."""
+        if self.state is TriggerState.WAITING:
+            self.state = TriggerState.IDLE
+
+    def initiate(self) -> None:
+        """INITiate: start a measurement into memory.
+
+        Raises `ScpiError` -213 when one is under way, 531 when the memory is too small, 522 as `read`.
+        """
+        self._require_idle()
+        readings = self.trigger_count * self.sample_count
+        if self.stores and not self.keeps_latest and readings > self.memory_depth:
+            raise ScpiError(531)
+        self._begin(keeps=self.stores)
+
+    def read(self) -> str | None:
+        """READ?: measure and return the readings, which are not stored.
+
+        With an external trigger no reply comes, and the meter waits until a device clear. Raises `ScpiError`
+        -213 when a measurement is under way, -214 when only a command could give the trigger, 522 for more
+        readings than the largest sample count (or endlessly many), which this simulation does not send.
+        """
+        self._require_idle()
+        if self.source == "BUS":
+            raise ScpiError(-214)
+        self._begin(keeps=self.keeps_latest)
+        return self._outcome()
+
+    def _begin(self, keeps: bool) -> None:
+        if self.trigger_count * self.sample_count > self.most_readings:
+            raise ScpiError(522)
+        self._converter.begin()
+        self._start(self.trigger_count, keeps=keeps)
+
+    @property
+    def delay_s(self) -> float:
+        """From a trigger to the beginning of its sample, s."""
+        stated_s = self.stated_delay_s
+        return self._converter.settling_s(self._configuration) if stated_s is None else stated_s
+
+    def _schedule(self, triggers: int) -> None:
+        """Fix when the samples of the next triggers are taken: each after its delay, in mid-integration."""
+        start_s, delay_s = self._clock.now_s(), self.delay_s
+        step_s = delay_s + self._converter.sample_s(self._configuration)
+        middle_s = delay_s + self._converter.integration_s(self._configuration) / 2.0
+        samples = triggers * self.sample_count
+        self._times_s = [start_s + i * step_s + middle_s for i in range(samples)]
+        self._measures_until(start_s + samples * step_s, triggers)
+
+    def _taken(self) -> Iterator[str]:
+        """Take the samples that are due: the source knows what the signal was at their times."""
+        for time_s in self._times_s:
+            value = self._converter.sample(self._configuration, time_s)
+            if abs(value) >= facts.OVERLOAD_V:
+                self._on_overload()
+            elif self.averages:
+                self.averaged.append(value)
+            yield reading_text(value, self._converter.step(self._configuration))
+        self._times_s = []
+
+    def commands(self) -> list[Command]:
+        """Return the lines of the command table for triggering, memory and average."""
+        word = (Number(optional=True),)
+        return [
+            Command("INITiate[:IMMediate]", self.initiate),
+            Command("READ?", self.read),
+            Command("FETCh?", self.fetch),
+            Command("*TRG", lambda: self.trigger("BUS")),
+            Command(
+                "TRIGger[:SEQuence]:SOURce", self._set_source, (Choice(("BUS", "IMMediate", "EXTernal")),)
+            ),
+            Command("TRIGger[:SEQuence]:SOURce?", lambda: self.source),
+            *number_lines(
+                "TRIGger[:SEQuence]:DELay",
+                "S",
+                (0.0, _LONGEST_DELAY_S),
+                lambda: self.delay_s,
+                self._set_delay,
+            ),
+            Command("TRIGger[:SEQuence]:DELay:AUTO", self._set_delay_auto, (Boolean(),)),
+            Command("TRIGger[:SEQuence]:DELay:AUTO?", lambda: str(int(self.stated_delay_s is None))),
+            Command("TRIGger[:SEQuence]:COUNt", self._set_trigger_count, (Number(words=(MIN, MAX, INF)),)),
+            Command("TRIGger[:SEQuence]:COUNt?", lambda w="": self._count_text(w, self.trigger_count), word),
+            Command("SAMPle:COUNt", self._set_sample_count, (Number(),)),
+            Command("SAMPle:COUNt?", lambda w="": self._count_text(w, self.sample_count), word),
+            Command("DATA:FEED", self._set_feed, (Choice(("RDG_STORE",)), Text())),
+            Command("DATA:FEED?", lambda: quoted("CALC" if self.stores else "")),
+            Command("DATA:POINts?", lambda: integer(len(self._memory))),
+            *self._average_commands(),
+        ]
+
+    def _average_commands(self) -> list[Command]:
+        results: dict[str, Callable[[list[float]], float]] = {
+            "MINimum": min, "MAXimum": max, "AVERage": lambda values: sum(values) / len(values),
+        }  # fmt: skip
+        return [
+            Command("CALCulate:FUNCtion", lambda _: None, (Choice(("AVERage",)),)),
+            Command("CALCulate:FUNCtion?", lambda: "AVER"),
+            Command("CALCulate:STATe", self._set_averages, (Boolean(),)),
+            Command("CALCulate:STATe?", lambda: str(int(self.averages))),
+            *(
+                Command(f"CALCulate:AVERage:{name}?", partial(self._average, of))
+                for name, of in results.items()
+            ),
+            Command("CALCulate:AVERage:COUNt?", lambda: integer(len(self.averaged))),
+        ]
+
+    def _average(self, of: Callable[[list[float]], float]) -> str:
+        return f"{of(self.averaged or [0.0]):+.8E}"
+
+    def _set_averages(self, flag: str) -> None:
+        self.averages = flag == "1"
+        if self.averages:
+            self.averaged = []
+
+    def _set_source(self, source: str) -> None:
+        self.source = source
+        self.stop_waiting()
+
+    def _set_delay(self, value: float) -> None:
+        self.stated_delay_s = within(value, 0.0, _LONGEST_DELAY_S)
+        self.stop_waiting()
+
+    def _set_delay_auto(self, flag: str) -> None:
+        self.stated_delay_s = None if flag == "1" else self.delay_s
+        self.stop_waiting()
+
+    def _set_trigger_count(self, value: Value) -> None:
+        self.trigger_count = math.inf if value == INF else self._count(value)
+        self.stop_waiting()
+
+    def _set_sample_count(self, value: Value) -> None:
+        self.sample_count = self._count(value)
+        self.stop_waiting()
+
+    def _set_feed(self, _memory: str, feed: str) -> None:
+        if feed.upper() not in ("", "CALC", "CALCULATE"):
+            raise ScpiError(-224)
+        self.stores = feed != ""
+
+    def _count(self, value: Value) -> int:
+        """Return a count, rounded; MIN and MAX resolved. Raises `ScpiError` -222 outside 1…`most_readings`."""
+        if isinstance(value, str):
+            return 1 if value == MIN else self.most_readings
+        return math.floor(within(math.floor(value + 0.5), 1, self.most_readings))
+
+    def _count_text(self, word: str, value: float) -> str:
+        if word:
+            return integer(1 if word == MIN else self.most_readings)
+        return _INFINITE if math.isinf(value) else integer(value)
+
+
+# --- the meter --------------------------------------------------------------------------------------
+
+_ERRORS: Final = {531: "Insufficient memory"}
+_OVERLOAD_BITS: Final = {"V": VOLT_OVERLOAD, "A": 2, "OHM": 512}
+"""Bits of the questionable data register, by the unit of what is measured."""
+_DISPLAY_WIDTH: Final = 12
+
+
+class Agilent34401A(LineMeter):
+    """The meter: settings, trigger system, status; `source` is what it is wired to, `clock` its time.
+
+    `interface` is as of a `LineMeter`. `noise` False gives exact values: no noise, no rounding to the resolution.
+    `accuracy` "90 days" gives it a gain, an offset and a temperature coefficient of its own within that
+    specification.
+    """
+
+    model = facts.MODELS[0]
+    beside_measuring = ("INITiate[:IMMediate]",)
+    _trigger_type: type[Trigger] = Trigger
+
+    def __init__(
+        self,
+        source: MeteredSignal,
+        clock: Clock,
+        *,
+        interface: Interface = "lan",
+        noise: bool = True,
+        accuracy: Accuracy | None = None,
+        line_hz: float = 50.0,
+    ) -> None:
+        super().__init__(facts.IDENTITY, _ERRORS, interface)
+        self.beeper_enabled = True
+        self.configuration = Configuration(self._configuration_changed)
+        self._converter = Converter(source, facts, noise=noise, accuracy=accuracy, line_hz=line_hz)
+        self.trigger = self._trigger_type(
+            clock, self.configuration, self._converter, self._overload, self.device_clear_pending
+        )
+        self._clear_text()
+        self.display_on = True
+        self.add(self.configuration.commands())
+        self.add(self.trigger.commands())
+        self.add(self._measure_commands())
+        self.add(self._system_commands())
+
+    @property
+    def cycle(self) -> Trigger:
+        """Its trigger system."""
+        return self.trigger
+
+    @property
+    def converters(self) -> tuple[Converter]:
+        """Its one converter."""
+        return (self._converter,)
+
+    def reset(self) -> None:
+        """*RST: DC volts, autorange, 10 PLC, one immediate trigger; errors and masks stay."""
+        self.trigger.abort()
+        self.configuration.preset()
+        self.trigger.preset()
+        self.display_on = True
+        self._clear_text()
+
+    def _configuration_changed(self) -> None:
+        self.trigger.stop_waiting()
+
+    def _overload(self) -> None:
+        """An overload is seen in the registers only: it is not an error of the queue."""
+        self.status.questionable |= _OVERLOAD_BITS.get(self.configuration.function.unit, VOLT_OVERLOAD)
+        self.status.event |= DEVICE_ERROR
+
+    def _measure_commands(self) -> list[Command]:
+        lines = []
+        for function in FUNCTIONS.values():
+            number = Number(function.unit, (MIN, MAX, DEF), optional=True)
+            parameters: tuple[CommandParameter, ...] = () if function.fixed else (number, number)
+            lines += [
+                Command(f"CONFigure:{function.notation}", partial(self._configure, function), parameters),
+                Command(f"MEASure:{function.notation}?", partial(self._measure, function), parameters),
+            ]
+        return lines
+
+    def _configure(self, function: Function, range_value: Value = DEF, resolution: Value = DEF) -> None:
+        self.configuration.configure(function, range_value, resolution)
+        self.trigger.abort()
+        self.trigger.preset()
+
+    def _measure(self, function: Function, range_value: Value = DEF, resolution: Value = DEF) -> str | None:
+        self._configure(function, range_value, resolution)
+        return self.trigger.read()
+
+    def _system_commands(self) -> list[Command]:
+        return [
+            Command("ROUTe:TERMinals?", lambda: "FRON"),
+            *switch_lines("DISPlay[:WINDow][:STATe]", lambda: self, "display_on"),
+            Command("DISPlay[:WINDow]:TEXT[:DATA]", self._show, (Text(),)),
+            Command("DISPlay[:WINDow]:TEXT[:DATA]?", lambda: quoted(self._display_text)),
+            Command("DISPlay[:WINDow]:TEXT:CLEar", self._clear_text),
+            Command("SYSTem:BEEPer", lambda: None),
+            *switch_lines("SYSTem:BEEPer:STATe", lambda: self, "beeper_enabled"),
+        ]
+
+    def _show(self, text: str) -> None:
+        self._display_text = text[:_DISPLAY_WIDTH]
+
+    def _clear_text(self) -> None:
+        self._display_text = ""

@@ -1,1 +1,0 @@
-"""A simulated HP, Agilent, Keysight 34401A."""
