@@ -23,8 +23,9 @@ from bench.run.instruments import Instruments
 from bench.run.listening import Asker
 from bench.run.person import Who
 from bench.run.record import Record
-from bench.run.runner import Runner
+from bench.run.runner import People, Recorder, Runner
 from bench.run.terminal import TerminalPerson
+from bench.run.workbench import BenchSetup
 from benchmarks.runner_cost import READINGS, Meter, plan
 from drivers.clock import utc_now
 from drivers.instruments.manual import ManualHead
@@ -57,7 +58,8 @@ def once(folder: Path, *, on_record: bool) -> tuple[float, float]:
     head = ManualHead("head", asked, tolerance_rad=1e-4)
     instruments = Instruments([Meter(c) for c in ("x", "y", "z")], head)
     begun, begun_cpu = time.perf_counter(), time.process_time()
-    Runner(plan(), instruments, asked, VirtualClock(), record, 10.0, asker=asker).run()
+    setup = BenchSetup(instruments, VirtualClock(), 10.0)
+    Runner(plan(), setup, People(asked, asker=asker), Recorder(record)).run()
     spent = time.perf_counter() - begun, time.process_time() - begun_cpu
     record.close()
     return spent[0] / READINGS, spent[1] / READINGS

@@ -35,7 +35,7 @@ from bench.run.events import EVENTS, MANIFEST, Event, RunState
 from bench.run.folder import RESULTS, Run
 from bench.run.person import OpenPrompt
 from bench.run.record import Record
-from bench.services.left_runs import taken_up
+from bench.services.execution import taken_up
 from benchmarks.answering_campaign import answer_to
 from sim.bench import SimulatedBench
 from sim.world.clock import ScaledClock

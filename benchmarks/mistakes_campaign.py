@@ -52,6 +52,7 @@ from bench.run.person import mount_prompt
 from bench.services.calibration import calibration_of
 from bench.services.errors import Refused
 from bench.services.execution import carry_out, new_run
+from bench.services.requests.measuring import RunRequest
 from bench.services.source import Request, load_sources
 from benchmarks.blind_trial.score import Share
 from benchmarks.mistaken_operator import KINDS, Mistake, MistakenOperator, draw, pass_of
@@ -254,7 +255,7 @@ def _carried_out(
     runs: Path, name: str, plan: Plan, seed: int, procedure: str, bench_name: str, mistake: Mistake | None
 ) -> tuple[Run, str]:
     """Carry a dry run out with the mistaken operator; return it and what stopped it for good."""
-    new = new_run(procedure, bench_name, runs, dry_run=True, seed=seed, name=name)
+    new = new_run(RunRequest(procedure, bench_name, runs=runs, dry_run=True, seed=seed, name=name))
     make = partial(MistakenOperator, plan=plan, mistake=mistake)
     trouble = ""
     with (
@@ -262,7 +263,7 @@ def _carried_out(
         mock.patch("bench.run.assembly.served.ScriptedOperator", make),
     ):
         try:
-            carry_out(Run(new.folder), new.record(), None, None, Console(file=nowhere))
+            carry_out(Run(new.folder), new.record(), Console(file=nowhere))
         except Refused as why:
             trouble = str(why)
     return Run(new.folder), trouble

@@ -162,14 +162,15 @@ def _carry_out(runs: Path, name: str, told: Any) -> None:
     from rich.console import Console
 
     from bench.services.execution import carry_out, new_run
+    from bench.services.requests.measuring import RunRequest
 
-    new = new_run("paper", None, runs, dry_run=True, seed=1, name=name)
+    new = new_run(RunRequest("paper", None, runs=runs, dry_run=True, seed=1, name=name))
     record = new.record()
     told.send("begun")
     told.recv()
     with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
         begun_s, begun_cpu_s = time.perf_counter(), time.process_time()
-        carry_out(Run(new.folder), record, None, None, Console(file=nowhere))
+        carry_out(Run(new.folder), record, Console(file=nowhere))
         lasted = time.process_time() - begun_cpu_s, time.perf_counter() - begun_s
     told.send((len(Run(new.folder).history.readings), *lasted))
 

@@ -51,11 +51,12 @@ STEPS_OF_A_PASS: Final = 18
 def make_record(runs: Path, events: int) -> Path:
     """Write a run that was interrupted after so many events, of which some steps are left; return its folder."""
     from bench.services.execution import new_run
+    from bench.services.requests.measuring import RunRequest
 
     with tempfile.TemporaryDirectory() as name:
         file = Path(name) / "long.yaml"
         file.write_text(PROCEDURE % (events // 2 // STEPS_OF_A_PASS + 10), encoding="utf-8")
-        new = new_run(str(file), "paper-stand", runs, dry_run=True, seed=1, name="long")
+        new = new_run(RunRequest(str(file), "paper-stand", runs=runs, dry_run=True, seed=1, name="long"))
     record = new.record()
     with patch("os.fsync"):  # what a disk takes is none of these figures
         _write_events(new.folder, record.append, events)

@@ -15,7 +15,8 @@ from pathlib import Path
 from bench.config.procedure.plan import Mount, Plan, Read, Turn
 from bench.run.instruments import Instruments
 from bench.run.record import Record
-from bench.run.runner import Runner
+from bench.run.runner import People, Recorder, Runner
+from bench.run.workbench import BenchSetup
 from drivers.clock import utc_now
 from drivers.interfaces import Channel, Direction, HeadPosition, Identity, VoltmeterSettings
 from drivers.person import Answer, Prompt
@@ -86,7 +87,9 @@ def main() -> None:
         instruments = Instruments([Meter(c) for c in ("x", "y", "z")], Head())
         begun = time.perf_counter()
         begun_cpu = time.process_time()
-        Runner(plan(), instruments, Person(), VirtualClock(), record, 10.0).run()
+        Runner(
+            plan(), BenchSetup(instruments, VirtualClock(), 10.0), People(Person()), Recorder(record)
+        ).run()
         wall_s, cpu_s = time.perf_counter() - begun, time.process_time() - begun_cpu
         record.close()
     print(f"fsync of 600 bytes        {1e3 * fsync_s:7.3f} ms")

@@ -11,7 +11,7 @@ from unittest import mock
 
 import yaml
 
-import bench.cli.run
+import bench.cli.measure
 import bench.run.assembly.served
 from bench.run.folder import Run
 from benchmarks.fault_trials import ROOT, VALUE_V, command, exact
@@ -217,12 +217,12 @@ def watched(disturbance: Disturbance | None) -> Iterator[Watch]:
     watch = Watch(disturbance)
     with (
         mock.patch.object(bench.run.assembly.served, "SimulatedBench", watch),
-        mock.patch.object(bench.cli.run, "conclude", _no_page),
+        mock.patch.object(bench.cli.measure, "_results", _no_page),
     ):
         yield watch
 
 
-def _no_page(run: Run, target: str | None = None) -> int:
+def _no_page(*_: object) -> int:
     """Stand for the evaluation of a finished run, which is no part of a trial and takes most of its time."""
     return 0
 

@@ -83,7 +83,7 @@ LATE: Final = (
     "bench.calibration.verification",
     "bench.services.check_runs",
     "bench.services.check_block",
-    "bench.services.left_runs",
+    "bench.services.execution",
     "bench.results.control_chart",
 )
 LATE_OF_CATALOGUE: Final = (

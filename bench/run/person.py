@@ -104,7 +104,12 @@ def raised(control: RunControl) -> OperatorWish | Stopped:
 
 
 class Controls(Protocol):
-    """Where wishes come from."""
+    """Where wishes come from; `stopped` is the wish to stop by which the program was interrupted."""
+
+    @property
+    def stopped(self) -> RunControl | None:
+        """The wish to stop, None where there was none."""
+        ...
 
     def poll(self) -> RunControl | None:
         """Return the next wish, None where there is none."""
@@ -113,6 +118,8 @@ class Controls(Protocol):
 
 class NoControls:
     """Nobody has a wish."""
+
+    stopped: RunControl | None = None
 
     def poll(self) -> RunControl | None:
         """Return None."""

@@ -6,7 +6,6 @@ it cannot tell a simulated bench from a real one.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -17,7 +16,7 @@ from bench.config.procedure.plan import Mount, OnFailure, Plan, Read, SelectInpu
 from bench.readings.reading import Reading
 from bench.run.events import HEARD, TRANSITIONS, Event, EventType, RecordError, RunState, Wish, result_to_json
 from bench.run.expectation import EarlySign
-from bench.run.instruments import Instruments, agree_to_others, how_it_stopped, leave_safe, same_serials
+from bench.run.instruments import agree_to_others, how_it_stopped, leave_safe, same_serials
 from bench.run.listening import Asker, ClockWatch
 from bench.run.person import (
     NOBODY_KNOWN,
@@ -30,7 +29,7 @@ from bench.run.person import (
     confirm,
     raised,
 )
-from bench.run.power import Feeding, UnitPower, begin, take_up
+from bench.run.power import UnitPower, begin, take_up
 from bench.run.record import Record, ResumePoint
 from bench.run.resume import (
     Progress,
@@ -40,8 +39,8 @@ from bench.run.resume import (
     pause_prompt,
     redo_from,
 )
-from bench.run.samples import SLOW_AFTER_S, Settling
-from bench.run.workbench import NAP_S, Workbench
+from bench.run.samples import Settling
+from bench.run.workbench import NAP_S, BenchSetup, Workbench
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BadReading, InstrumentLost, InstrumentRefused
 from drivers.person import Person
@@ -60,68 +59,85 @@ class RunAborted(Exception):
     """The person ended the run for good."""
 
 
+@dataclass(frozen=True)
+class People:
+    """Who is asked during a run, and whose wishes are heard.
+
+    `decider` is asked how to go on after an early sign, where that is not `person`. `asker` is the living person
+    behind either of them, who may answer in more than one place. `patience` is the clock on which a pause passes: a
+    person's, not the bench's. After `hold_signals` no signal raises anything any more.
+    """
+
+    person: Person
+    decider: Person | None = None
+    asker: Asker | None = None
+    controls: Controls = field(default_factory=NoControls)
+    patience: Clock = field(default_factory=SystemClock)
+    hold_signals: Callable[[], None] = lambda: None
+
+
+@dataclass
+class Recorder:
+    """Writes the events of a run: `progress` follows them, `observers` see each once it is on the disk.
+
+    `clocks` notices civil time that jumps. `now_s` is the bench time since the run began, s.
+    """
+
+    record: Record
+    observers: Sequence[Observer] = ()
+    progress: Progress = field(default_factory=Progress)
+    clocks: ClockWatch | None = None
+    now_s: Callable[[], float] = field(default=lambda: 0.0, init=False)
+
+    def emit(self, kind: EventType, /, **data: Any) -> None:
+        """Record an event."""
+        event = self.record.append(kind, self.now_s(), **data)
+        self.progress.take(event)
+        for observer in self.observers:
+            with suppress(OSError):  # a terminal that was closed shows nothing more; the run goes on
+                observer(event)
+        if self.clocks is not None and (ahead_s := self.clocks.gap_s()):
+            self.emit(EventType.CLOCK_JUMPED, ahead_s=round(ahead_s, 1))
+
+    def tell(self, kind: EventType, data: dict[str, Any]) -> None:
+        """Record an event of the instruments or of a question."""
+        self.emit(kind, **data)
+
+
 @dataclass
 class Runner:
-    """Executes a plan.
+    """Carries out a plan on a bench, with the people at it, into a record.
 
-    `observers` see each event after it is on the disk. `at_resumed_time` is told the bench time from which a
-    resumed run goes on. `watch` looks at each reading. `patience` is the clock on which a pause passes: a
-    person's, not the bench's. `least_samples` is how few samples every voltmeter takes. `decider` is asked how to
-    go on after an early sign, where that is somebody else than `person`. After `hold_signals` no signal raises
-    anything any more. A chamber that hardly moves is told of after `slow_chamber_s`, and civil time that jumps
-    where `clocks` see to it. `certificates` says of the serial numbers that answered, by name, what is to be told
-    of the instruments' certificates. `fed` is how the power supply feeds the block. `asker` is the living person
-    behind `person` or `decider`, who may be asked in more than one place; `stopped` tells the wish by which the
-    program was interrupted. `choose` says at a step what of the rest is measured, where that is chosen on the way.
+    `watch` looks at each reading. `choose` says at a step what of the rest is measured, where that is chosen on the
+    way. `certificates` returns sentences on the instruments' certificates for the serial numbers by name.
+    `at_resumed_time` is called with the bench time from which a resumed run goes on, s.
     """
 
     plan: Plan
-    instruments: Instruments
-    person: Person
-    clock: Clock
-    record: Record
-    range_v: float
-    observers: Sequence[Observer] = ()
-    at_resumed_time: Callable[[float], None] | None = None
-    controls: Controls = field(default_factory=NoControls)
-    progress: Progress = field(default_factory=Progress)
-    patience: Clock = field(default_factory=SystemClock)
+    bench: BenchSetup
+    people: People
+    recorder: Recorder
     watch: Watch = lambda reading: ()
-    block_limits_c: tuple[float, float] = (-math.inf, math.inf)
-    least_samples: int = 1
-    setting_u_rad: float = 0.0
-    decider: Person | None = None
-    slow_chamber_s: float = SLOW_AFTER_S
-    clocks: ClockWatch | None = None
-    on_settling: Callable[[Settling], None] = lambda state: None
-    hold_signals: Callable[[], None] = lambda: None
-    certificates: Callable[[Mapping[str, str]], Sequence[str]] | None = None
-    fed: Feeding | None = None
-    asker: Asker | None = None
-    stopped: Callable[[], RunControl | None] = lambda: None
     choose: Callable[[int, Progress], dict[str, Any] | None] = lambda index, progress: None
+    certificates: Callable[[Mapping[str, str]], Sequence[str]] | None = None
+    on_settling: Callable[[Settling], None] = lambda state: None
+    at_resumed_time: Callable[[float], None] | None = None
     _zero_s: float = 0.0
 
     def __post_init__(self) -> None:
+        people, bench, recorder = self.people, self.bench, self.recorder
+        recorder.now_s = self._now_s
+        self.progress, self._emit = recorder.progress, recorder.emit
         self._workbench = Workbench(
-            self.instruments,
-            self.person,
-            self.clock,
-            self.range_v,
-            self._now_s,
-            self._hear,
-            on_settling=self.on_settling,
-            block_limits_c=self.block_limits_c,
-            least_samples=self.least_samples,
-            setting_u_rad=self.setting_u_rad,
-            slow_chamber_s=self.slow_chamber_s,
-            tell=self._tell,
+            bench, people.person, self._now_s, self._hear, on_settling=self.on_settling, tell=recorder.tell
         )
-        if self.asker is not None:
-            self.asker.attach(self._tell, self.controls)
-        if self.fed is not None and (supply := self.instruments.power_supply) is not None:
-            power = UnitPower(supply, self.fed, self.person, self.clock, self._now_s, self._hear, self._tell)
-            power.watch_while_asked(self.person, self.decider)
+        if people.asker is not None:
+            people.asker.attach(recorder.tell, people.controls)
+        if bench.feeding is not None and (supply := bench.instruments.power_supply) is not None:
+            power = UnitPower(
+                supply, bench.feeding, people.person, bench.clock, self._now_s, self._hear, recorder.tell
+            )
+            power.watch_while_asked(people.person, people.decider)
             self._workbench.power = power
 
     def run(self, resume: ResumePoint | None = None) -> None:
@@ -137,7 +153,7 @@ class Runner:
             try:
                 self._run(resume)
             finally:
-                self.hold_signals()
+                self.people.hold_signals()
         except BaseException as error:
             cause = error
         self._way_out(cause)
@@ -147,10 +163,10 @@ class Runner:
     def _run(self, resume: ResumePoint | None) -> None:
         start, bench_s = (resume.step, resume.bench_s) if resume else (0, 0.0)
         self._workbench.visits = self.progress.remounts
-        self._zero_s = self.clock.now_s() - bench_s
-        opened = self.instruments.open()
+        self._zero_s = self.bench.clock.now_s() - bench_s
+        opened = self.bench.instruments.open()
         identities = {name: str(identity) for name, identity in opened.items()}
-        self._insist(partial(agree_to_others, self.person, self.progress.identities, identities))
+        self._insist(partial(agree_to_others, self.people.person, self.progress.identities, identities))
         serials = {name: identity.serial for name, identity in opened.items()}
         known = {} if self.certificates is None else {"serials": serials}
         begun = EventType.RUN_RESUMED if resume else EventType.RUN_STARTED
@@ -191,7 +207,7 @@ class Runner:
         if (doubt := self.progress.doubt) is None:
             return False
         again = doubt.step in self.progress.in_vain
-        reason = how_to_go_on(self.decider or self.person, doubt, again=again)
+        reason = how_to_go_on(self.people.decider or self.people.person, doubt, again=again)
         told = {"causes": doubt.data["causes"], "reason": reason, **self._answerer().to_json()}
         self._emit(EventType.WENT_ON, step=doubt.step, **told)
         return True
@@ -200,11 +216,11 @@ class Runner:
 
     def _way_out(self, cause: BaseException | None) -> None:
         """Leave the bench safe, then record how the run stopped and what a person must still do."""
-        to_do = leave_safe(self.instruments, self._workbench.demanded_c, self._workbench.power)
+        to_do = leave_safe(self.bench.instruments, self._workbench.demanded_c, self._workbench.power)
         try:
             self._record_stop(cause)
             if self._workbench.power is not None and self._workbench.power.left_off:
-                self._tell(EventType.POWER, {"power": "off", "rails": {}})
+                self.recorder.tell(EventType.POWER, {"power": "off", "rails": {}})
             if to_do:
                 self._emit(EventType.LEFT_SAFE, to_do=to_do)
         except RecordError as error:
@@ -217,24 +233,12 @@ class Runner:
         """Record what stopped the run, where it had not ended already and can be written."""
         if cause is None or isinstance(cause, RecordError | RunAborted):
             return
-        event, data = how_it_stopped(cause, self.stopped())
-        if event in TRANSITIONS[self.record.state]:
+        event, data = how_it_stopped(cause, self.people.controls.stopped)
+        if event in TRANSITIONS[self.recorder.record.state]:
             self._emit(event, **data)
 
-    def _emit(self, kind: EventType, /, **data: Any) -> None:
-        event = self.record.append(kind, self._now_s(), **data)
-        self.progress.take(event)
-        for observer in self.observers:
-            with suppress(OSError):  # a terminal that was closed shows nothing more; the run goes on
-                observer(event)
-        if self.clocks is not None and (ahead_s := self.clocks.gap_s()):
-            self._emit(EventType.CLOCK_JUMPED, ahead_s=round(ahead_s, 1))
-
-    def _tell(self, kind: EventType, data: dict[str, Any]) -> None:
-        self._emit(kind, **data)
-
     def _now_s(self) -> float:
-        return self.clock.now_s() - self._zero_s
+        return self.bench.clock.now_s() - self._zero_s
 
     def _restore(self, resume: ResumePoint) -> None:
         """Bring the bench to where the steps before the one to go on with left it."""
@@ -258,7 +262,7 @@ class Runner:
         self.progress.reopen(self.plan, resume.step)
         if self.at_resumed_time is not None:
             self.at_resumed_time(resume.bench_s)
-            self._zero_s = self.clock.now_s() - resume.bench_s
+            self._zero_s = self.bench.clock.now_s() - resume.bench_s
 
     def _remount(self, step: Mount) -> None:
         """Ask whether the block is still mounted as it was; if not, its further readings are another visit."""
@@ -291,22 +295,22 @@ class Runner:
 
     def _hear(self) -> None:
         """Raise `OperatorWish`, or `Stopped`, when somebody left a wish."""
-        if self.asker is not None:
-            self.asker.drain()
-        control = self.controls.poll()
+        if self.people.asker is not None:
+            self.people.asker.drain()
+        control = self.people.controls.poll()
         if control is not None:
             raise raised(control)
 
     def _answerer(self) -> Who:
         """Who gave the last answer, where that is known."""
-        return NOBODY_KNOWN if self.asker is None else self.asker.answered_by
+        return NOBODY_KNOWN if self.people.asker is None else self.people.asker.answered_by
 
     def _obey(self, control: RunControl, index: int) -> int:
         """Do as the person wishes at step `index`; return the step to go on with."""
         if control.by_person and control.who == NOBODY_KNOWN:
             control = replace(control, who=self._answerer())
-        if control.wish not in HEARD[self.record.state]:
-            return self._refuse(control, index, f"the run is {self.record.state}")
+        if control.wish not in HEARD[self.recorder.record.state]:
+            return self._refuse(control, index, f"the run is {self.recorder.record.state}")
         match control.wish:
             case Wish.PAUSE:
                 return self._pause(control, index)
@@ -337,15 +341,15 @@ class Runner:
     def _pause(self, pause: RunControl, index: int) -> int:
         """Wait until the person wishes something else; nothing on the bench moves meanwhile."""
         self._emit(EventType.RUN_PAUSED, **pause.told())
-        ask = pause.by_person or self.asker is not None
-        while self.record.state is RunState.PAUSED:
-            control = self._asked() if ask else self.controls.poll()
+        ask = pause.by_person or self.people.asker is not None
+        while self.recorder.record.state is RunState.PAUSED:
+            control = self._asked() if ask else self.people.controls.poll()
             if control is None:
                 self._workbench.watch_rails("paused")
-                self.patience.sleep(NAP_S)
+                self.people.patience.sleep(NAP_S)
                 continue
             after = self._obey(control, index)
-            if self.record.state is RunState.PAUSED and after != index:
+            if self.recorder.record.state is RunState.PAUSED and after != index:
                 self._emit(EventType.RUN_CONTINUED, **control.who.to_json())
             index = after
         return index
@@ -353,7 +357,7 @@ class Runner:
     def _asked(self) -> RunControl:
         """Ask the person how to go on with a run that is paused."""
         try:
-            confirm(self.asker or self.person, pause_prompt(self._now_s()))
+            confirm(self.people.asker or self.people.person, pause_prompt(self._now_s()))
         except OperatorWish as wish:
             return wish.control
         return RunControl(Wish.CONTINUE, by_person=True, who=self._answerer())

@@ -40,7 +40,7 @@ from bench.run.events import (
 )
 from bench.run.instruments import Instruments, told_at_mounting, told_at_reading
 from bench.run.person import UNTOUCHED, ask, confirm, mount_prompt, untouched_prompt
-from bench.run.power import UnitPower, warm_up
+from bench.run.power import Feeding, UnitPower, warm_up
 from bench.run.samples import SLOW_AFTER_S, ChamberWatch, Criterion, Settling, describe, wait_until_settled
 from drivers import interfaces
 from drivers.angles import wrapped_rad
@@ -215,43 +215,54 @@ QUICK_NPLC: Final = 1.0
 """Integration of the samples by which signals are seen to settle: the mains are suppressed, little time spent."""
 
 
-@dataclass
-class Workbench:
-    """Executes steps. `range_v` is the voltmeters' fixed range, `now_s` the bench time since the run began.
+@dataclass(frozen=True)
+class BenchSetup:
+    """The instruments of a run, their clock, and what the bench file says of them.
 
-    `visits` gives the series that readings of a (series, installation) are recorded with, where the block
-    was mounted again in the middle of it; `power` is the block's supply, where it has one;
-    `block_limits_c` are the temperatures that the block may have; `least_samples` is how few samples every
-    voltmeter takes, by which signals are seen to settle.
-    `setting_u_rad` is the standard uncertainty of a setting of the head.
-    After `slow_chamber_s` `tell` is told of a chamber that hardly moves.
-    `temperature_c` is the temperature last read or told, `demanded_c` what the chamber was last sent to.
+    `range_v` is the voltmeters' fixed range, `least_samples` the fewest samples that every one of them takes,
+    `setting_u_rad` the standard uncertainty of a setting of the head, `block_limits_c` the temperatures that the
+    block may have, `feeding` how the power supply feeds it. A chamber that hardly moves is reported after
+    `slow_chamber_s`.
     """
 
     instruments: Instruments
-    person: Person
     clock: Clock
     range_v: float
+    block_limits_c: tuple[float, float] = (-math.inf, math.inf)
+    least_samples: int = 1
+    setting_u_rad: float = 0.0
+    slow_chamber_s: float = SLOW_AFTER_S
+    feeding: Feeding | None = None
+
+
+@dataclass
+class Workbench:
+    """Carries out steps on a bench; `now_s` is the bench time since the run began, s.
+
+    `visits` gives the series that readings of a (series, installation) are recorded with, where the block
+    was mounted again in the middle of it. `power` is the block's supply, where it has one. `tell` records an event.
+    `temperature_c` is the temperature last read or given by a person, `demanded_c` the chamber's last set point.
+    """
+
+    bench: BenchSetup
+    person: Person
     now_s: Callable[[], float]
     between_naps: Callable[[], None] = lambda: None
     on_settling: Callable[[Settling], None] = lambda state: None
-    block_limits_c: tuple[float, float] = (-math.inf, math.inf)
-    least_samples: int = 1
-    slow_chamber_s: float = SLOW_AFTER_S
     tell: Callable[[EventType, dict[str, Any]], None] = lambda kind, data: None
-    setting_u_rad: float = 0.0
     visits: Mapping[tuple[int, str], int] = field(default_factory=dict)
     power: UnitPower | None = None
-    _reference_v: float | None = field(default=None, init=False)
-    _position: HeadPosition | None = field(default=None, init=False)
     temperature_c: float | None = field(default=None, init=False)
     demanded_c: float | None = field(default=None, init=False)
+    _reference_v: float | None = field(default=None, init=False)
+    _position: HeadPosition | None = field(default=None, init=False)
     _settings: VoltmeterSettings | None = field(default=None, init=False)
     _level_zero: Inclination | None = field(default=None, init=False)
     _chamber_c: float | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self._chamber_watch = ChamberWatch(self.clock, self.slow_chamber_s, self.tell)
+        self.instruments, self.clock = self.bench.instruments, self.bench.clock
+        self._chamber_watch = ChamberWatch(self.clock, self.bench.slow_chamber_s, self.tell)
 
     def execute(self, step: Step) -> Result | None:
         """Carry out a step and return what it brought. Raises `BenchError`."""
@@ -347,7 +358,7 @@ class Workbench:
         return Turned(_degrees(self._position.angle_rad), _degrees(step.target_rad))
 
     def _level(self, step: Level) -> Levelled:
-        levelling = Levelling(self.instruments, self.person, self.setting_u_rad, self._level_zero)
+        levelling = Levelling(self.instruments, self.person, self.bench.setting_u_rad, self._level_zero)
         found = levelling.carry_out(step)
         self._position, self._level_zero = levelling.position, levelling.zero
         return found
@@ -396,7 +407,7 @@ class Workbench:
 
     def _quick_signals(self) -> tuple[float, ...]:
         """Return the three signals as they are now, V: the last of the fewest samples."""
-        self._configure(VoltmeterSettings(self.range_v, QUICK_NPLC, self.least_samples))
+        self._configure(VoltmeterSettings(self.bench.range_v, QUICK_NPLC, self.bench.least_samples))
         samples = self._sample(self.instruments.voltmeters)
         return tuple(samples[channel][-1] for channel in CHANNELS)
 
@@ -428,7 +439,7 @@ class Workbench:
         return Answered(ask(self.person, prompt))
 
     def _read(self, step: Read) -> Reading:
-        self._configure(VoltmeterSettings(self.range_v, step.nplc, step.samples))
+        self._configure(VoltmeterSettings(self.bench.range_v, step.nplc, step.samples))
         self._take_temperature(step.key)
         before = self._rails(step.key)
         begun_s = self.now_s()
@@ -473,7 +484,7 @@ class Workbench:
         Raises `LimitExceeded` when the block is where it may not be: the run stops, the chamber goes safe.
         """
         self.temperature_c, self._chamber_c = told_at_reading(self.instruments, self.temperature_c, key)
-        low_c, high_c = self.block_limits_c
+        low_c, high_c = self.bench.block_limits_c
         if self.temperature_c is not None and not low_c <= self.temperature_c <= high_c:
             raise LimitExceeded(
                 "block",

@@ -1,53 +1,77 @@
-"""Runs: begun, carried out on the bench or dry, watched, and what can be gone on with."""
+"""Runs: begun, carried out on the bench or dry, watched, resumed, given up."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rich.console import Console
 
 from bench.base.computing import quiet
-from bench.base.files import to_text, write_whole
-from bench.config.bench_file.file import BenchFile, foreign_drivers, load_bench
+from bench.base.files import read_regular, to_text, write_whole
+from bench.config.bench_file.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.config.devices.sections import ControlledChamberForm
 from bench.config.model_file import load_model
 from bench.config.procedure.load import Procedure, check, load_procedure
 from bench.config.shipped import find_procedure
 from bench.run.assembly.served import Assembly, dry_bench, real_bench
 from bench.run.early_warning import watcher_of
-from bench.run.events import Manifest, RecordError, VerdictAsked
-from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, RESULTS, Run, checked_name
+from bench.run.events import (
+    ENDED,
+    Event,
+    EventType,
+    Manifest,
+    RecordError,
+    RunState,
+    VerdictAsked,
+)
+from bench.run.folder import (
+    BENCH,
+    MODEL,
+    PLAN,
+    PROCEDURE,
+    RESULTS,
+    Digests,
+    Run,
+    all_runs,
+    checked_name,
+    find_run,
+)
 from bench.run.instruments import with_notes
 from bench.run.listening import Asker, ClockWatch, Interrupts, WishListener
-from bench.run.person import ControlFile
+from bench.run.person import NOBODY_KNOWN, ControlFile, Who, agree, at_the_shell
 from bench.run.power import Feeding
-from bench.run.record import History, Record, read_history, resume_point
+from bench.run.record import History, Record, is_being_written, read_history, resume_point
 from bench.run.resume import Progress
-from bench.run.runner import RunAborted, Runner
+from bench.run.runner import People, Recorder, RunAborted, Runner
 from bench.run.samples import SLOW_AFTER_S
-from bench.run.sentences import RunLog
+from bench.run.sentences import TERMINAL, RunLog, sentence
 from bench.run.terminal import ProgressBar, TerminalPerson
+from bench.run.workbench import BenchSetup
 from bench.services.bench_selection import bench_for_record, bench_path, why_taken
 from bench.services.check_runs import checked_before
 from bench.services.errors import Refused
-from bench.services.heard import Heard
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record
 from bench.services.records import versions
+from bench.services.requests.measuring import ResumeRequest, RunRequest
+from bench.services.requests.shared import runs_folder
 from bench.services.simulated_truth import simulated_truth
 from bench.services.traceability import remarks
 from bench.services.until import noted_goals, until_of
+from bench.services.verification import NOTHING_ASKED, Asked, judgement_of
 from drivers.clock import utc_now
 from drivers.interfaces import BenchError
+from drivers.person import Prompt, PromptKind
 from drivers.wire.pyvisa_connection import Haste
-from drivers.wire.replay import WireLog
+from drivers.wire.replay import WireLog, logged_wire
 
 MOST_RECALLED: Final = 500
 """So many of the last readings of a resumed run teach the early warning what to expect; more teach it little."""
@@ -72,38 +96,21 @@ class NewRun:
         return Record.create(self.folder, self.manifest, self.inputs, utc_now, shield)
 
 
-def new_run(
-    procedure: str,
-    bench: str | None,
-    runs: Path,
-    *,
-    dry_run: bool,
-    seed: int,
-    name: str | None = None,
-    operator: str = "",
-    unit: str | None = None,
-    model: Path | None = None,
-    verdict: VerdictAsked | None = None,
-    living: bool = False,
-    until: Sequence[str] = (),
-    check_block: bool = False,
-    despite_check: str | None = None,
-) -> NewRun:
+def new_run(request: RunRequest) -> NewRun:
     """Check a procedure against a bench and return the run that it makes.
-
-    `unit` is the serial number of the block, `verdict` how it is judged, in place of the bench file's. A person
-    answers the questions of a `living` dry run, `until` are the goals at which it ends. With `check_block` a dry
-    run, too, is held to the bench's check block; `despite_check` is why a run is begun whatever that says.
 
     Raises `FileMistakes` and `Refused` with all that speaks against it.
     """
+    dry_run, unit, operator = request.dry_run, request.unit, request.operator
     if re.search("[\ud800-\udfff]", operator):
         raise Refused("--operator: this is not UTF-8 text; type the name again, or set the terminal to UTF-8")
-    procedure_path, bench_file_path = find_procedure(procedure), bench_path(bench)
+    bench = None if request.bench is None else str(request.bench)
+    procedure_path, bench_file_path = find_procedure(str(request.procedure)), bench_path(bench)
+    verdict = _judged(request, bench_file_path)
     loaded = load_procedure(procedure_path)
     plan = loaded.expand()
     file = load_bench(bench_file_path)
-    problems = check(plan, file, dry_run=dry_run and not living)
+    problems = check(plan, file, dry_run=dry_run and not request.living)
     if unit is not None and (not unit.strip() or not unit.isprintable()):
         problems = [
             *problems,
@@ -111,6 +118,7 @@ def new_run(
         ]
     if problems:
         raise Refused("\n".join(problems))
+    model = None if request.model is None else Path(request.model)
     if dry_run:
         simulated_truth(file, model)
     inputs = {
@@ -123,14 +131,15 @@ def new_run(
         load_model(model, file.installation_models())
         inputs[MODEL] = model.read_bytes()
     inputs |= effects_for_record()
-    name = checked_name(name or _free_name(plan.name, runs))
+    runs = runs_folder(request.runs)
+    name = checked_name(request.name or _free_name(plan.name, runs))
     stated = file.unit_under_test
     serial = stated.serial if unit is None else unit.strip()
     manifest: Manifest = {
         "name": name,
         "created": utc_now().isoformat(),
         "dry_run": dry_run,
-        "seed": seed if dry_run else None,
+        "seed": request.seed if dry_run else None,
         "operator": operator,
         "procedure": str(procedure_path),
         "bench": str(bench_file_path),
@@ -139,17 +148,27 @@ def new_run(
         "unit_under_test": {"type": stated.type, "serial": serial},
         "versions": versions(),
     }
-    if living:
+    if request.living:
         manifest["living"] = True
     if foreign := foreign_drivers(file):
         manifest["devices"] = foreign
     if verdict:
         manifest["verdict"] = verdict
     notes = _other_unit(stated.serial, serial, file.name)
-    notes += noted_goals(manifest, plan, file, until)
-    if check_block or despite_check is not None or (file.check_block is not None and not dry_run):
-        notes += checked_before(manifest, file, bench_file_path, runs, despite_check)
+    notes += noted_goals(manifest, plan, file, request.until or ())
+    despite = request.despite_check
+    if request.check_block or despite is not None or (file.check_block is not None and not dry_run):
+        notes += checked_before(manifest, file, bench_file_path, runs, despite)
     return NewRun(runs / name, manifest, inputs, notes)
+
+
+def _judged(request: RunRequest, bench: Path) -> VerdictAsked | None:
+    """Return how the run is judged in place of the bench file's, None where nobody says. Raises `Refused`."""
+    asked = Asked(request.limit, request.rule, request.guard_band)
+    if asked == NOTHING_ASKED:
+        return None
+    judgement_of(load_bench(bench), asked)
+    return asked.recorded()
 
 
 def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:
@@ -176,12 +195,125 @@ def _free_name(procedure: str, runs: Path) -> str:
     return name
 
 
+@dataclass(frozen=True)
+class Heard:
+    """`wishes` are those left in the run's folder; `asker` is its living person, None where none is asked."""
+
+    wishes: WishListener
+    asker: Asker | None = None
+
+
+def heard_in(
+    run: Run, record: Record, history: History | None, wishes: WishListener, out: Console, *, away: bool
+) -> Heard:
+    """Return who is heard in a run, new or (with its `history`) resumed; nobody is at a terminal if `away`.
+
+    Whoever resumes a dry run that stopped is there to be asked how to go on.
+    """
+    if not run.asks_somebody and history is None:
+        return Heard(wishes)
+    last_s = history.events[-1].bench_s if history is not None and history.events else 0.0
+
+    def tell(kind: EventType, data: dict[str, Any]) -> Event:
+        event = record.append(kind, last_s, **data)
+        if (text := sentence(event)) != event.type:
+            out.print(text, style="bold yellow", highlight=False)
+        return event
+
+    terminal = None if away else TerminalPerson(sys.stdin, out, wishes=(), who=at_the_shell(TERMINAL))
+    heard_before = history.progress.answers_heard if history is not None else 0
+    return Heard(wishes, Asker(run.folder, record, tell, terminal=terminal, heard=heard_before))
+
+
+def is_away(answers: str | None, *, panel: bool) -> bool:
+    """Whether questions are answered in the run's folder alone: asked for, or a `panel` and no terminal.
+
+    Raises `Refused` for an unknown place.
+    """
+    if answers not in (None, "terminal", "folder"):
+        raise Refused(f"--answers {answers}: questions are answered at the terminal or in the folder")
+    return answers == "folder" or (panel and answers is None and not sys.stdin.isatty())
+
+
+def refuse_contradictions(request: RunRequest) -> None:
+    """Raise `Refused` for options that do not go together, and for a real run without a bench file."""
+    if not (request.bench or os.environ.get("BENCH_FILE") or request.dry_run):
+        raise Refused(
+            "a run on real instruments needs a bench file: say --bench FILE (or set BENCH_FILE), "
+            "or try it first with --dry-run"
+        )
+    if request.model is not None and not request.dry_run:
+        raise Refused("--model says what the simulated bench contains; it goes with --dry-run")
+    if request.follow and is_away(request.answers, panel=request.panel):
+        raise Refused("--follow asks at the terminal before it measures further: it wants --answers terminal")
+
+
+@contextmanager
+def started(
+    request: RunRequest, out: Console, announce: Callable[[NewRun], None]
+) -> Iterator[tuple[Run, Interrupts]]:
+    """Carry out a new run, which is announced before; yield it once it is finished, signals still being heard."""
+    away = is_away(request.answers, panel=request.panel)
+    new = new_run(request)
+    announce(new)
+    with Interrupts() as interrupts:
+        with logged_wire(request.wire_log) as wire, WishListener(ControlFile(new.folder)) as wishes:
+            record = new.record(interrupts.shield)
+            run = Run(new.folder)
+            heard = heard_in(run, record, None, wishes, out, away=away)
+            carry_out(run, record, out, wire=wire, interrupts=interrupts, heard=heard)
+        yield Run(new.folder), interrupts
+
+
+@contextmanager
+def resumed(
+    request: ResumeRequest, out: Console, announce: Callable[[Run], None]
+) -> Iterator[tuple[Run, Interrupts]]:
+    """Resume a run, which is announced before; yield it once it is finished, signals still being heard.
+
+    One that has finished and lacks results is yielded as it is.
+    """
+    away = is_away(request.answers, panel=request.panel)
+    run = unfinished_run(request.name, runs_folder(request.runs), results_too=True)
+    refuse_missing_devices(run)
+    announce(run)
+    with Interrupts() as interrupts:
+        record, history = taken_up(run, interrupts.shield, results_too=True)
+        with (
+            closing(record),
+            logged_wire(request.wire_log) as wire,
+            WishListener(ControlFile(run.folder)) as wishes,
+        ):
+            if history.torn and not quiet.get():
+                print("note: the last line of the record was half written and is dropped", file=sys.stderr)
+            if history.state is not RunState.FINISHED:
+                heard = heard_in(run, record, history, wishes, out, away=away)
+                accept_changes(run, heard.asker, out)
+                carry_out(run, record, out, history=history, wire=wire, interrupts=interrupts, heard=heard)
+        yield Run(run.folder), interrupts
+
+
+def accept_changes(run: Run, asker: Asker | None, out: Console) -> None:
+    """Say what was changed since the run began; on a real bench the person must agree to go on without it."""
+    changes = []
+    for kind, copy in (("procedure", PROCEDURE), ("bench", BENCH)):
+        original = Path(str(run.manifest.get(kind)))
+        if original.is_file() and read_regular(original) != read_regular(run.folder / copy):
+            changes.append(f"{original} was changed since the run began")
+    for change in changes:
+        out.print(f"note: {change}; the run goes on with the copy in its folder")
+    if changes and not run.simulated and asker is not None:
+        text = f"{'; '.join(changes)}. Go on as the run was begun, without these changes?"
+        agree(asker, Prompt(id="changed", kind=PromptKind.CONFIRM, text=text, action={"do": "answer"}))
+
+
 def carry_out(
     run: Run,
     record: Record,
-    history: History | None,
-    wire: WireLog | None,
     out: Console,
+    *,
+    history: History | None = None,
+    wire: WireLog | None = None,
     interrupts: Interrupts | None = None,
     heard: Heard | None = None,
 ) -> None:
@@ -200,46 +332,35 @@ def carry_out(
     watcher = watcher_of(run.plan, bench)
     if history:
         watcher.recall(history.taken[-MOST_RECALLED:], history.progress)
-    where = "simulated instruments" if run.simulated else "the bench"
-    verb = "goes on" if resume else "starts"
     if not quiet.get():
+        where = "simulated instruments" if run.simulated else "the bench"
         out.print(
-            f"run {run.name} {verb} on {where}: {run.plan.name}, {len(run.plan.steps)} steps, "
-            f"recorded in {run.folder}"
+            f"run {run.name} {'goes on' if resume else 'starts'} on {where}: {run.plan.name}, "
+            f"{len(run.plan.steps)} steps, recorded in {run.folder}"
         )
         out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
     try:
         with _assembly(run, bench, history, wire, out, signals.haste, heard.asker) as (assembly, bar):
             bar.recall(history.progress.chosen if history else ())
-            Runner(
-                plan=run.plan,
-                instruments=assembly.instruments,
-                person=assembly.person,
-                clock=assembly.clock,
-                record=record,
-                range_v=bench.voltmeter_range_v,
+            # who resumes a dry run that stopped is there to be asked
+            decider = heard.asker if history else None
+            people = People(assembly.person, decider, heard.asker, heard.wishes, hold_signals=signals.hold)
+            recorder = Recorder(
+                record,
                 observers=(*assembly.observers, watcher.observe, bar, RunLog(run.folder, run.plan)),
-                at_resumed_time=assembly.at_resumed_time,
-                controls=heard.wishes,
-                stopped=lambda: heard.wishes.stopped,
-                asker=heard.asker,
                 progress=history.progress.copy() if history else Progress(),
-                watch=watcher.take,
-                # who resumes a dry run that stopped is there to be asked
-                decider=heard.asker if history else None,
-                block_limits_c=(
-                    bench.unit_under_test.temperature.minimum,
-                    bench.unit_under_test.temperature.maximum,
-                ),
-                least_samples=bench.least_samples,
-                setting_u_rad=bench.stand_distributions()["setting_error"].u,
-                slow_chamber_s=_slow_chamber_s(bench),
                 clocks=None if run.simulated else ClockWatch(utc_now, assembly.clock.now_s),
-                on_settling=bar.settling,
-                hold_signals=signals.hold,
-                certificates=_on_certificates(bench, simulated=run.simulated),
-                fed=_fed(bench),
+            )
+            Runner(
+                run.plan,
+                _setup(bench, assembly),
+                people,
+                recorder,
+                watch=watcher.take,
                 choose=until_of(run, bench),
+                certificates=_on_certificates(bench, simulated=run.simulated),
+                on_settling=bar.settling,
+                at_resumed_time=assembly.at_resumed_time,
             ).run(resume)
         _refuse_renamed(record)
     except RunAborted as why:
@@ -266,15 +387,24 @@ def _on_certificates(
     return lambda serials: remarks(bench, None if simulated else serials)
 
 
-def _fed(bench: BenchFile) -> Feeding | None:
-    """Return how the power supply feeds the block, None where the bench file does not say so."""
-    section, supply = bench.unit_under_test.supply, bench.instruments.power_supply
-    return None if section is None or supply is None else Feeding(section, supply.limits)
-
-
-def _slow_chamber_s(bench: BenchFile) -> float:
-    chamber = bench.instruments.chamber
-    return chamber.slow_after if isinstance(chamber, ControlledChamberForm) else SLOW_AFTER_S
+def _setup(bench: BenchFile, assembly: Assembly) -> BenchSetup:
+    """Return the instruments with what the bench file says of them."""
+    feed, supply, chamber = (
+        bench.unit_under_test.supply,
+        bench.instruments.power_supply,
+        bench.instruments.chamber,
+    )
+    limits = bench.unit_under_test.temperature
+    return BenchSetup(
+        assembly.instruments,
+        assembly.clock,
+        bench.voltmeter_range_v,
+        block_limits_c=(limits.minimum, limits.maximum),
+        least_samples=bench.least_samples,
+        setting_u_rad=bench.stand_distributions()["setting_error"].u,
+        slow_chamber_s=chamber.slow_after if isinstance(chamber, ControlledChamberForm) else SLOW_AFTER_S,
+        feeding=None if feed is None or supply is None else Feeding(feed, supply.limits),
+    )
 
 
 @contextmanager
@@ -345,3 +475,87 @@ def _recorded(record: Record) -> str:
 def _kept(record: Record) -> str:
     place = record.whereabouts() or record.folder
     return f"{_recorded(record)}; go on with 'bench resume {place.name}'"
+
+
+# --- runs that another program has left -------------------------------------------------------------
+
+
+def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -> Run:
+    """Return a run that can be gone on with, the latest if none is named. Raises `Refused` for another.
+
+    With `results_too` it may be one that has finished and lacks results, where none waits to be gone on with.
+    """
+    if name is None:
+        digests = Digests(runs)
+        states = [(run, _idle_at(run, digests)) for run in all_runs(runs)]
+        digests.save()
+        waiting = [run for run, state in states if state is not None and state not in ENDED]
+        if results_too and not waiting:
+            waiting = [run for run, state in states if _lacks_results(run, state)]
+        if not waiting:
+            raise Refused(f"{runs}: no unfinished run there")
+        return waiting[-1]
+    found = find_run(name, runs)
+    if found.imported:
+        raise Refused(f"{found.name}: was imported from a readings file; there is nothing to go on with")
+    return found
+
+
+def taken_up(
+    run: Run,
+    shield: Callable[[], AbstractContextManager[None]] = nullcontext,
+    *,
+    results_too: bool = False,
+) -> tuple[Record, History]:
+    """Open a run to go on with it; with `results_too` it may have finished and lack results.
+
+    Raises `Refused` for another that has ended, `RecordError` as `Record.reopen`.
+    """
+    record, history = Record.reopen(run.folder, utc_now, shield)
+    if history.state in ENDED and not (results_too and _lacks_results(run, history.state)):
+        record.close()
+        raise Refused(f"{run.name}: nothing to do, the run is {history.state}")
+    return record, history
+
+
+def _lacks_results(run: Run, state: RunState | None) -> bool:
+    return state is RunState.FINISHED and run.results_missing
+
+
+def _idle_at(run: Run, digests: Digests) -> RunState | None:
+    """Return the state of a run that was begun here and that nobody is carrying out, None for another."""
+    try:
+        state = None if run.imported else digests.of(run).state
+    except (RecordError, ValueError):
+        return None
+    return None if is_being_written(run.folder) else state
+
+
+def refuse_missing_devices(run: Run) -> None:
+    """Raise `Refused` where a driver that the run was begun with is not here."""
+    came_from = run.manifest.get("devices", {})
+    missing = [
+        f"the driver '{name}'" + (f" (it came from {came_from[name]})" if name in came_from else "")
+        for name in missing_drivers(run.folder / BENCH)
+    ]
+    if missing:
+        raise Refused(
+            f"{run.name} goes on only with {' and '.join(missing)}, which is not here; name the folder that it is "
+            "in with --devices or BENCH_DEVICES, or install its distribution"
+        )
+
+
+def give_up(run: Run, who: Who = NOBODY_KNOWN) -> tuple[str, ...]:
+    """End a run that nobody carries out for good; return what must be looked after yet, a sentence each.
+
+    Raises `Refused` for one that has ended, `RecordError` where another program writes it or it was changed.
+    """
+    record, history = taken_up(run)
+    try:
+        bench_s = history.events[-1].bench_s if history.events else 0.0
+        record.append(EventType.RUN_ABORTED, bench_s, **who.to_json())
+    finally:
+        record.close()
+    if history.progress.power in {"on", "found on", "fault"}:
+        return ("the block was on when the run stopped, and nobody has switched it off since",)
+    return ()

@@ -11,7 +11,7 @@ import io
 import os
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from datetime import date
 from functools import cached_property
 from pathlib import Path
@@ -32,6 +32,7 @@ from bench.services.free_diagnosis import FreeDiagnosisResult, free_diagnosis_of
 from bench.services.learning import LearningResult, learning_of
 from bench.services.own_effects import knowing_effects_in
 from bench.services.requests.evaluation import Confirm
+from bench.services.requests.measuring import DryRunRequest, RunRequest
 from bench.services.source import Request, Source, load_sources, reading
 from bench.services.verification import Asked, VerificationResult
 
@@ -237,16 +238,7 @@ class DryRun:
         return "\n".join(lines)
 
 
-@checked()
-def dry_run(
-    procedure: str | Path,
-    bench: str | Path | None = None,
-    *,
-    seed: int = 1,
-    model: str | Path | None = None,
-    name: str | None = None,
-    runs: str | Path | None = None,
-) -> DryRun:
+def _dry_run(request: DryRunRequest) -> DryRun:
     """Run a procedure on simulated instruments over the same drivers and wire, with a virtual clock.
 
     `seed` gives the random numbers, `model` a model file with effects that the simulated bench has. The record is
@@ -255,20 +247,15 @@ def dry_run(
     from bench.run.folder import Run
     from bench.services.execution import carry_out, new_run
 
-    folder = None if runs is not None else tempfile.TemporaryDirectory(prefix="bench-dry-run-")
-    place = Path(folder.name if folder else str(runs))
-    new = new_run(
-        str(procedure),
-        None if bench is None else str(bench),
-        place,
-        dry_run=True,
-        seed=seed,
-        name=name,
-        model=None if model is None else Path(model),
-    )
-    carry_out(Run(new.folder), new.record(), None, None, Console(file=io.StringIO(), quiet=True))
-    (source,) = load_sources(Request([str(new.folder)], place))
+    folder = None if request.runs is not None else tempfile.TemporaryDirectory(prefix="bench-dry-run-")
+    given = {one.name: getattr(request, one.name) for one in fields(request)}
+    new = new_run(RunRequest(**{**given, "runs": folder.name if folder else request.runs}, dry_run=True))
+    carry_out(Run(new.folder), new.record(), Console(file=io.StringIO(), quiet=True))
+    (source,) = load_sources(Request([str(new.folder)], new.folder.parent))
     return DryRun(Run(new.folder), source, folder)
+
+
+dry_run = python_call(DryRunRequest, _dry_run)
 
 
 def _loaded(

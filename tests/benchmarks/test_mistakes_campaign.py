@@ -11,6 +11,7 @@ from rich.console import Console
 from bench.cli.app import main
 from bench.run.folder import Run
 from bench.services.execution import carry_out, new_run
+from bench.services.requests.measuring import RunRequest
 from benchmarks.mistaken_operator import KINDS, MistakenOperator, draw
 from benchmarks.mistakes_campaign import CLEAN, LARGE, Outcome, setting, table, watched, whole
 from drivers.interfaces import NoAnswer
@@ -59,13 +60,13 @@ def gone_on(kind, runs, number=0):
     """A finished run of whose mistake the operator was told, and went on."""
     plan, bench = setting("quick", "paper-stand")
     mistake = draw(kind, number, plan, bench.installation_models(), 5)
-    new = new_run("quick", "paper-stand", runs, dry_run=True, seed=5, name="run")
+    new = new_run(RunRequest("quick", "paper-stand", runs=runs, dry_run=True, seed=5, name="run"))
     make = partial(Stubborn, plan=plan, mistake=mistake)
     with (
         Path("/dev/null").open("w") as nowhere,
         mock.patch("bench.run.assembly.served.ScriptedOperator", make),
     ):
-        carry_out(Run(new.folder), new.record(), None, None, Console(file=nowhere))
+        carry_out(Run(new.folder), new.record(), Console(file=nowhere))
     return Run(new.folder)
 
 

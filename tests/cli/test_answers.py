@@ -10,12 +10,12 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from bench.cli.resume import _accept_changes
 from bench.run import listening
 from bench.run.events import Wish
 from bench.run.folder import Run
 from bench.run.listening import Asker
 from bench.run.person import LeftAnswer, RunControl, Who, leave_answer, leave_wish
+from bench.services.execution import accept_changes
 from benchmarks.answering_campaign import Hands, amiss, answer_to, one
 from benchmarks.kill_campaign import differences
 from drivers.interfaces import BenchError
@@ -144,7 +144,7 @@ def test_files_that_were_changed_before_a_run_goes_on_are_asked_about_in_the_fol
 
     asker = Asker(tmp_path, SimpleNamespace(count=41), tell)
     with nullcontext() if answer == "yes" else pytest.raises(BenchError, match="answered no"):
-        _accept_changes(run, asker, Console(file=io.StringIO()))
+        accept_changes(run, asker, Console(file=io.StringIO()))
     assert asked[0]["id"] == "changed#1@42"
     assert "mine.yaml was changed since the run began. Go on" in asked[0]["text"]
 

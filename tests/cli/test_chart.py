@@ -1,12 +1,10 @@
 """The check block of a simulated bench: measured on some days, a shift, a run refused."""
 
-import io
 import json
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from bench.config.bench_file.file import load_bench
 from bench.run.folder import Run
@@ -15,6 +13,7 @@ from bench.services.check_block import chart_of, check_block_runs
 from bench.services.check_runs import check_before
 from bench.services.errors import Refused
 from bench.services.execution import new_run
+from bench.services.requests.measuring import RunRequest
 from tests.support.check_runs import measured, write_bench
 from tests.support.schemas import keeps_to
 
@@ -97,24 +96,24 @@ def test_what_the_check_says_of_a_run(there, monkeypatch):
 def test_a_run_is_refused_unless_somebody_says_why_not(there):
     with pytest.raises(Refused, match=r"OUT OF CONTROL.*despite_check"):
         measured("work", 30, unit=None, check_block=True)
-    new = new_run("quick", "my.yaml", Path("runs"), dry_run=True, seed=1, despite_check="only y is needed")
+    new = new_run(RunRequest("quick", "my.yaml", dry_run=True, seed=1, despite_check="only y is needed"))
     told = new.manifest["check_block"]
     assert (told["state"], told["run"], told["despite"]) == ("out of control", "shifted", "only y is needed")
     with pytest.raises(Refused, match="say in words"):
-        new_run("quick", "my.yaml", Path("runs"), dry_run=True, seed=1, despite_check=" ")
+        new_run(RunRequest("quick", "my.yaml", dry_run=True, seed=1, despite_check=" "))
 
 
 def test_neither_a_dry_run_nor_the_check_itself_is_held_to_it(there):
-    plain = new_run("quick", "my.yaml", Path("runs"), dry_run=True, seed=1)
+    plain = new_run(RunRequest("quick", "my.yaml", dry_run=True, seed=1))
     assert "check_block" not in plain.manifest
-    itself = new_run("quick", "my.yaml", Path("runs"), dry_run=True, seed=1, unit="CHECK-1", check_block=True)
+    itself = new_run(RunRequest("quick", "my.yaml", dry_run=True, seed=1, unit="CHECK-1", check_block=True))
     assert "check_block" not in itself.manifest
     assert "this is a run of the check block" in itself.notes[-1]
 
 
 def test_a_real_run_looks_for_real_checks(there):
     with pytest.raises(Refused, match="no run of the check block CHECK-1"):
-        new_run("quick", "my.yaml", Path("runs"), dry_run=False, seed=1)
+        new_run(RunRequest("quick", "my.yaml", dry_run=False, seed=1))
 
 
 def test_with_warn_the_run_goes_on_and_its_result_says_so(laboratory, tmp_path, monkeypatch):
@@ -133,7 +132,7 @@ def test_with_warn_the_run_goes_on_and_its_result_says_so(laboratory, tmp_path, 
 
 def test_a_bench_without_a_check_block_cannot_be_held_to_one(there):
     with pytest.raises(Refused, match="states no check_block"):
-        new_run("quick", "paper-stand", Path("runs"), dry_run=True, seed=1, check_block=True)
+        new_run(RunRequest("quick", "paper-stand", dry_run=True, seed=1, check_block=True))
 
 
 def test_the_command_draws_the_chart_and_its_status_is_the_verdict(there, bench, laboratory, monkeypatch):
@@ -193,13 +192,12 @@ def test_from_python_it_is_the_same_chart(there):
 def test_a_run_that_ends_puts_itself_on_the_chart(laboratory, tmp_path, monkeypatch):
     import shutil
 
-    from bench.cli.run import charted
+    from bench.services.conclusion import charted
 
     monkeypatch.chdir(tmp_path)
     shutil.copytree(laboratory / "runs", "runs")
-    out = io.StringIO()
-    assert charted(Run(Path("runs/shifted")), Console(file=out, width=200)) == 1
-    assert "OUT OF CONTROL: shifted" in out.getvalue()
+    found = charted(Run(Path("runs/shifted")))["chart"]
+    assert not found.accepted
     keeps_to("chart", json.loads(Path("runs/shifted/chart.json").read_text(encoding="utf-8")))
 
 

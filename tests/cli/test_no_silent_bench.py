@@ -82,8 +82,9 @@ def test_results_in_python_say_it_too(exported):
 
 def test_a_run_keeps_why_its_bench_file_was_taken(empty_folder):
     from bench.services.execution import new_run
+    from bench.services.requests.measuring import RunRequest
 
-    new = new_run("quick", None, Path("runs"), dry_run=True, seed=1, name="one")
+    new = new_run(RunRequest("quick", None, runs=Path("runs"), dry_run=True, seed=1, name="one"))
     assert new.manifest["bench_why"] == "the shipped one, as none was named"
 
 

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from bench.cli import printing
 from bench.run.events import RunState
 from bench.run.folder import RESULTS, Run
 from bench.run.listening import Interrupts
@@ -60,7 +59,7 @@ def test_resume_makes_the_results_that_a_run_lacks_and_no_others(bench, named):
 @pytest.mark.usefixtures("finished")
 def test_killed_between_two_results_it_lacks_the_others(bench, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(printing, "verification", stopped)  # the page is there, the verdict just so
+        patch.setattr("bench.services.conclusion.charted", stopped)  # the page is there, the verdict just so
         assert bench("resume", "one")[0] == 2
     assert Run(RUN).results_missing
     assert bench("resume", "one")[0] == 0
@@ -69,12 +68,12 @@ def test_killed_between_two_results_it_lacks_the_others(bench, monkeypatch):
 
 @pytest.mark.usefixtures("finished")
 def test_stopped_when_all_was_made_it_says_so_and_needs_no_more(bench, monkeypatch):
-    def late(run, out):
+    def late(run):
         (RUN / RESULTS).write_text('{"made": []}')
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("bench.cli.run.charted", late)
+        patch.setattr("bench.services.conclusion.charted", late)
         status, _, err = bench("resume", "one")
     assert (status, err) == (2, "bench: stopped; all readings are kept in runs/one with their results\n")
 

@@ -9,6 +9,7 @@ from bench.run.folder import Run
 from bench.run.record import Record
 from bench.services.errors import Refused
 from bench.services.execution import new_run
+from bench.services.requests.measuring import RunRequest
 from bench.services.source import Request, load_sources
 from drivers.clock import utc_now
 from tests.support.pages import ROOT
@@ -17,7 +18,7 @@ FINISHED = ROOT / "tests" / "data" / "records" / "finished"
 
 
 def begun(unit):
-    return new_run("quick", "paper-stand", Path("runs"), dry_run=True, seed=1, name="one", unit=unit)
+    return new_run(RunRequest("quick", "paper-stand", dry_run=True, seed=1, name="one", unit=unit))
 
 
 def test_the_run_is_of_the_unit_that_is_given_and_the_bench_files_is_told(empty_folder):

@@ -12,7 +12,7 @@ def test_what_is_to_be_said_of_certificates_is_recorded_before_the_first_step(tm
         return ["the certificate of x is of MY1, but MY2 answered"]
 
     runner = make_runner(Bench(), new_record(tmp_path), certificates=said)
-    meter = runner.instruments.voltmeters[0]
+    meter = runner.bench.instruments.voltmeters[0]
     meter.open = lambda: Identity("K", "34461A", "MY2")
     runner.run()
     serials = {"voltmeter.x": "MY2", "voltmeter.y": "", "voltmeter.z": "", "head": ""}

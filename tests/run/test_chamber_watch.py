@@ -34,7 +34,7 @@ def events_of(tmp_path, rate_k_min, after, target_c=60.0, **options):
     record = new_record(tmp_path)
     plan = Plan("test", (SetTemperature("1/temperature", target_c), after), "")
     runner = with_chamber(make_runner(chamber.bench, record, plan, **options), chamber)
-    chamber.clock = runner.clock
+    chamber.clock = runner.bench.clock
     runner.run()
     record.close()
     history, _, _ = recorded(tmp_path / "run")

@@ -8,7 +8,7 @@ import pytest
 from bench.run.listening import ClockWatch
 from bench.run.sentences import sentence
 from sim.world.clock import VirtualClock
-from tests.support.runner_bench import READS, Bench, make_runner, new_record, recorded
+from tests.support.runner_bench import READS, Bench, changed, make_runner, new_record, recorded
 
 
 class Civil:
@@ -27,9 +27,8 @@ def jumps_of(tmp_path, jumps_s):
     clock = VirtualClock()
     with closing(new_record(tmp_path)) as record:
         runner = make_runner(Bench(), record)
-        runner.clock = clock
-        runner.__post_init__()
-        runner.clocks = ClockWatch(Civil(clock, 9, jumps_s), clock.now_s)
+        runner = changed(runner, clock=clock)
+        runner.recorder.clocks = ClockWatch(Civil(clock, 9, jumps_s), clock.now_s)
         runner.run()
     history, keys, readings = recorded(tmp_path / "run")
     assert keys == READS

@@ -11,9 +11,10 @@ from bench.run.assembly.served import dry_bench
 from bench.run.events import RunState, Wish
 from bench.run.person import RunControl
 from bench.run.record import Record, read_history
-from bench.run.runner import RunAborted, Runner
+from bench.run.runner import RunAborted
 from drivers.interfaces import BenchError
 from tests.support.composed_bench import edited
+from tests.support.runner_bench import runner_of
 
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
 STEPS = (
@@ -31,6 +32,7 @@ class Trouble:
     def __init__(self, what):
         self.what = what
         self.times = 0
+        self.stopped = None
 
     def poll(self):
         self.times += 1
@@ -57,13 +59,13 @@ def test_every_way_out_leaves_the_bench_safe(tmp_path, monkeypatch, trouble, sta
     bench = edited(tmp_path, "bench-motorised")
     record = Record.create(tmp_path / "run", {}, {}, lambda: NOON)
     with dry_bench(bench, ForwardModel(bench.installation_models()), seed=1) as assembly:
-        runner = Runner(
+        runner = runner_of(
             Plan("p", STEPS, ""),
             assembly.instruments,
             assembly.person,
             assembly.clock,
             record,
-            bench.voltmeter_range_v,
+            range_v=bench.voltmeter_range_v,
             observers=assembly.observers,
             controls=Trouble(trouble),
         )

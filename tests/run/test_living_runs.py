@@ -1,6 +1,5 @@
 """Whole runs whose questions a living person answers: paused, taken again, stopped, with who it was on record."""
 
-import dataclasses
 import threading
 import time
 
@@ -21,7 +20,7 @@ from bench.run.person import (
 )
 from bench.run.record import Record, read_history, resume_point
 from bench.run.runner import RunAborted
-from tests.support.runner_bench import NOON, READS, Bench, make_runner, new_record, recorded
+from tests.support.runner_bench import NOON, READS, Bench, changed, make_runner, new_record, recorded
 
 ANN = Who("Ann", "operator", "panel")
 
@@ -76,10 +75,9 @@ def living(tmp_path, monkeypatch):
                 controls=wishes,
                 observers=(Panel(folder, instead),),
                 hold_signals=signals.hold,
-                stopped=lambda: wishes.stopped,
                 **options,
             )
-            runner = dataclasses.replace(runner, person=asker)
+            runner = changed(runner, person=asker)
             try:
                 runner.run(None if history is None else resume_point(runner.plan, history))
             except KeyboardInterrupt:

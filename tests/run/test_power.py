@@ -27,7 +27,7 @@ class Wishing:
     """Wishes once, or raises, when the runner listens for the n-th time."""
 
     def __init__(self, what, at=1):
-        self.what, self.left = what, at
+        self.what, self.left, self.stopped = what, at, None
 
     def poll(self):
         self.left -= 1

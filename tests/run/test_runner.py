@@ -1,7 +1,6 @@
 """The runner: each step recorded before the next, each way out leaves the bench closed, no reading twice."""
 
 import contextlib
-import dataclasses
 
 import pytest
 
@@ -20,6 +19,7 @@ from tests.support.runner_bench import (
     READS,
     Bench,
     Person,
+    changed,
     make_plan,
     make_runner,
     new_record,
@@ -109,7 +109,7 @@ def test_a_block_that_was_mounted_again_meanwhile_makes_another_visit_of_what_fo
     record.close()
     record, history = Record.reopen(tmp_path / "run", lambda: NOON)
     runner = make_runner(Bench(), record, progress=history.progress.copy())
-    dataclasses.replace(runner, person=Honest(Bench())).run(resume_point(PLAN, history))
+    changed(runner, person=Honest(Bench())).run(resume_point(PLAN, history))
     record.close()
     _, keys, rows = recorded(tmp_path / "run")
     assert keys == READS
@@ -268,9 +268,9 @@ def test_a_chamber_is_made_safe_on_every_way_out(tmp_path):
         bench, chamber = Bench(trouble, at), Chamber()
         record = new_record(tmp_path, name)
         runner = make_runner(bench, record)
-        together = Instruments(runner.instruments.voltmeters, runner.instruments.head, chamber)
+        together = Instruments(runner.bench.instruments.voltmeters, runner.bench.instruments.head, chamber)
         with contextlib.suppress(KeyboardInterrupt, BadReading):
-            dataclasses.replace(runner, instruments=together).run()
+            changed(runner, instruments=together).run()
         record.close()
         assert chamber.calls[-2:] == ["safe", "close"]
         assert recorded(tmp_path / name)[0].events[-1].data == {"to_do": {"chamber": "open the door"}}
@@ -292,7 +292,7 @@ def test_a_block_that_is_too_hot_stops_the_run(tmp_path):
             return 23.0 if key < "r2" else 75.0
 
     runner = make_runner(Bench(), new_record(tmp_path), block_limits_c=(-40.0, 60.0))
-    together = Instruments(runner.instruments.voltmeters, runner.instruments.head, Oven())
+    together = Instruments(runner.bench.instruments.voltmeters, runner.bench.instruments.head, Oven())
     with pytest.raises(LimitExceeded, match="75 °C"):
-        dataclasses.replace(runner, instruments=together).run()
+        changed(runner, instruments=together).run()
     assert recorded(tmp_path / "run")[1] == ["r11", "r12", "r13"]

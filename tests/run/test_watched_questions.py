@@ -170,6 +170,8 @@ def test_ctrl_c_at_a_question_amid_a_look_goes_the_way_out(asked_run):
 class Wishes(list):
     """What was wished, each heard once."""
 
+    stopped = None
+
     def poll(self):
         return self.pop() if self else None
 

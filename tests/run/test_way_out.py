@@ -15,6 +15,7 @@ from tests.support.runner_bench import (
     ALL,
     READS,
     Bench,
+    changed,
     instruments,
     make_plan,
     make_runner,
@@ -65,9 +66,7 @@ def with_chamber(runner, chamber, meter_trouble=None):
     if meter_trouble is not None:
         bench.voltmeters[0].close = troubled
     object.__setattr__(bench, "chamber", chamber)
-    runner.instruments = bench
-    runner.__post_init__()
-    return runner
+    return changed(runner, instruments=bench)
 
 
 def hit(*numbers):
@@ -88,7 +87,7 @@ def test_signals_on_the_way_out_cancel_nothing_and_hide_no_cause(tmp_path, capsy
     bench = Bench(trouble, at=None if trouble is None else 9)
     with closing(new_record(tmp_path)) as record, Interrupts() as interrupts:
         runner = make_runner(bench, record, hold_signals=interrupts.hold)
-        with_chamber(runner, Chamber(bench), hit(number, number, signal.SIGINT))
+        runner = with_chamber(runner, Chamber(bench), hit(number, number, signal.SIGINT))
         if trouble is None:
             runner.run()
         else:
@@ -146,7 +145,7 @@ def test_instruments_that_were_opened_before_one_failed_are_let_go(tmp_path):
     bench = Bench()
     with closing(new_record(tmp_path)) as record:
         runner = make_runner(bench, record)
-        runner.instruments.voltmeters[1].open = lambda: 1 / 0
+        runner.bench.instruments.voltmeters[1].open = lambda: 1 / 0
         with pytest.raises(ZeroDivisionError):
             runner.run()
     assert set(bench.closed) == ALL

@@ -1,7 +1,5 @@
 """What an operator wishes during a run: again, left out, a pause, the end."""
 
-import dataclasses
-
 import pytest
 
 from bench.run.events import Event, RunState, Wish
@@ -9,7 +7,7 @@ from bench.run.person import OperatorWish, RunControl
 from bench.run.record import resume_point
 from bench.run.runner import RunAborted
 from sim.world.clock import VirtualClock
-from tests.support.runner_bench import PLAN, READS, Bench, Person, make_runner, new_record, recorded
+from tests.support.runner_bench import PLAN, READS, Bench, Person, changed, make_runner, new_record, recorded
 
 
 class Said:
@@ -18,6 +16,7 @@ class Said:
     def __init__(self, wishes):
         self.wishes = dict(wishes)
         self.count = -1
+        self.stopped = None
 
     def poll(self):
         self.count += 1
@@ -30,7 +29,7 @@ def listening(tmp_path, wishes, person=None, **options):
     record = new_record(tmp_path)
     runner = make_runner(bench, record, controls=Said(wishes), patience=VirtualClock(), **options)
     if person is not None:
-        runner = dataclasses.replace(runner, person=person)
+        runner = changed(runner, person=person)
     try:
         runner.run()
     finally:
@@ -46,7 +45,7 @@ def poll_at(key, kind="step_done"):
     runner = make_runner(
         Bench(), FakeRecord(lambda k, d: k == kind and d["key"] == key and at.append(said.count))
     )
-    runner = dataclasses.replace(runner, controls=said)
+    runner = changed(runner, controls=said)
     runner.run()
     return at[0] + 1
 
@@ -163,6 +162,8 @@ def test_where_points_are_chosen_redo_takes_what_was_measured_last_in_time(tmp_p
     heard = []
 
     class Once:
+        stopped = None
+
         def poll(self):
             return RunControl(wish) if heard and heard.pop() else None
 

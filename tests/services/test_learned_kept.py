@@ -16,6 +16,7 @@ from bench.run.events import RecordError
 from bench.run.folder import LEARNED, Run
 from bench.services.check_block import check_values
 from bench.services.execution import carry_out, new_run
+from bench.services.requests.measuring import RunRequest
 from tests.support.learned_file import content, leave
 
 KYX = COEFFICIENTS.index("Kyx")
@@ -33,8 +34,8 @@ def measured(empty_folder, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(Path("cache").absolute()))
 
     def run(name):
-        new = new_run("quick", "mine.yaml", Path("runs"), dry_run=True, seed=5, name=name)
-        carry_out(Run(new.folder), new.record(), None, None, Console(file=io.StringIO(), quiet=True))
+        new = new_run(RunRequest("quick", "mine.yaml", runs=Path("runs"), dry_run=True, seed=5, name=name))
+        carry_out(Run(new.folder), new.record(), Console(file=io.StringIO(), quiet=True))
         return Run(new.folder)
 
     return run

@@ -11,6 +11,7 @@ from rich.console import Console
 from bench.config.shipped import find_bench
 from bench.run.folder import Run
 from bench.services.execution import carry_out, new_run
+from bench.services.requests.measuring import RunRequest
 
 SECTION = "\ncheck_block:\n  serial: CHECK-1\n  rule: refuse\n  baseline: 3\n"
 
@@ -26,7 +27,17 @@ def measured(
 ) -> Run:
     """Return a run of the check block, or of another unit."""
     new = new_run(
-        "quick", "my.yaml", Path("runs"), dry_run=True, seed=seed, name=name, unit=unit, model=model, **asked
+        RunRequest(
+            "quick",
+            "my.yaml",
+            runs=Path("runs"),
+            dry_run=True,
+            seed=seed,
+            name=name,
+            unit=unit,
+            model=model,
+            **asked,
+        )
     )
-    carry_out(Run(new.folder), new.record(), None, None, Console(file=io.StringIO(), quiet=True))
+    carry_out(Run(new.folder), new.record(), Console(file=io.StringIO(), quiet=True))
     return Run(new.folder)

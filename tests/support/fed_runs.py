@@ -20,7 +20,7 @@ from drivers.interfaces import (
 )
 from sim.world.clock import VirtualClock
 from tests.support.fed_bench import FEED
-from tests.support.runner_bench import PLAN, Bench, Person, instruments
+from tests.support.runner_bench import PLAN, Bench, Person, instruments, runner_of
 
 LIMITS = SupplyLimits(
     {
@@ -109,13 +109,5 @@ def fed_runner(
     """A runner over a bench whose block is fed; `feed` are changes of how."""
     feed = options.pop("feed", {})
     having = replace(instruments(bench), power_supply=supply)
-    return Runner(
-        plan,
-        having,
-        person or Person(bench),
-        supply.clock,
-        record,
-        10.0,
-        fed=Feeding(section_of(**feed), LIMITS),
-        **options,
-    )
+    options["feeding"] = Feeding(section_of(**feed), LIMITS)
+    return runner_of(plan, having, person or Person(bench), supply.clock, record, **options)

@@ -1,6 +1,7 @@
 """A bench in memory, a plan of two installations, and runners over them."""
 
 from collections.abc import Collection
+from dataclasses import fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,9 @@ from bench.base.arrays import CHANNELS
 from bench.config.procedure.plan import Ask, Mount, OnFailure, Plan, Read, Step, Turn, Wait
 from bench.run.instruments import Instruments
 from bench.run.record import History, Record, read_history
-from bench.run.runner import Runner
+from bench.run.runner import People, Recorder, Runner
+from bench.run.workbench import BenchSetup
+from drivers.clock import Clock
 from drivers.interfaces import Channel, Direction, HeadPosition, Identity, InstrumentLost, VoltmeterSettings
 from drivers.person import Answer, Prompt, PromptKind
 from sim.world.clock import VirtualClock
@@ -114,15 +117,29 @@ def instruments(bench: Bench, absent: Collection[str] = ()) -> Instruments:
 def make_runner(
     bench: Bench, record: Record, plan: Plan = PLAN, absent: Collection[str] = (), **options: Any
 ) -> Runner:
-    return Runner(
-        plan,
-        instruments(bench, absent),
-        Person(bench),
-        VirtualClock(),
-        record,
-        10.0,
-        **options,
-    )
+    return runner_of(plan, instruments(bench, absent), Person(bench), VirtualClock(), record, **options)
+
+
+def runner_of(
+    plan: Plan, having: Instruments, person: Any, clock: Clock, record: Record, **options: Any
+) -> Runner:
+    """A runner with options of the bench, the people, the recorder or itself, by their names."""
+    setup = BenchSetup(having, clock, options.pop("range_v", 10.0), **_of(BenchSetup, options))
+    people, recorder = People(person, **_of(People, options)), Recorder(record, **_of(Recorder, options))
+    return Runner(plan, setup, people, recorder, **options)
+
+
+def changed(runner: Runner, **options: Any) -> Runner:
+    """The same runner with other options."""
+    setup = replace(runner.bench, **_of(BenchSetup, options))
+    people = replace(runner.people, **_of(People, options))
+    recorder = replace(runner.recorder, **_of(Recorder, options))
+    return replace(runner, bench=setup, people=people, recorder=recorder, **options)
+
+
+def _of(part: type, options: dict[str, Any]) -> dict[str, Any]:
+    """Take the options of a part out of all."""
+    return {name: options.pop(name) for name in [f.name for f in fields(part)] if name in options}
 
 
 def new_record(tmp_path: Path, name: str = "run") -> Record:

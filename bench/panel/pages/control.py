@@ -101,7 +101,7 @@ async def give_up(request: Request) -> Response:
 
 
 async def _given_up(request: Request, run: Run, person: Person) -> Response:
-    from bench.services.left_runs import give_up as end_for_good  # takes long to import
+    from bench.services.execution import give_up as end_for_good  # takes long to import
 
     left = await _doing(end_for_good, run, _who(person))
     return _done(request, run, "; ".join(("ended for good", *left)))

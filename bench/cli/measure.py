@@ -1,0 +1,220 @@
+"""run, resume, abort, control: procedures carried out on a bench or dry, and the runs in progress."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from itertools import count
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bench.cli import printing
+from bench.cli.options import RUNS, JsonOption, LatestRun, RunArgument, RunsOption, app
+from bench.cli.panel import link_to
+from bench.cli.requested import requested
+from bench.services.errors import Refused
+from bench.services.requests.measuring import ResumeRequest, RunRequest
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from bench.diagnosis.full import FullDiagnosis
+    from bench.diagnosis.next_measurement import Proposal
+    from bench.run.folder import Run
+    from bench.run.listening import Interrupts
+    from bench.services.conclusion import Conclusion
+    from bench.services.execution import NewRun
+
+
+@app.command(epilog="Example: bench run calibration --bench my-bench.yaml --name unit-17")
+@requested
+def run(request: RunRequest, json: JsonOption = None) -> int:
+    """Run a procedure on the bench, or dry on simulated instruments; then calibrate, verify, report."""
+    printing.check_target(json)
+    if request.follow and json is not None:
+        raise Refused(
+            "--follow makes two runs, and --json is the result of one; the folders of both hold theirs"
+        )
+    from bench.services.execution import refuse_contradictions
+
+    refuse_contradictions(request)
+    done, status = _measured(request, json)
+    if not request.follow:
+        return status
+    return max(status, _follow(done, request))
+
+
+def _measured(request: RunRequest, json: str | None) -> tuple[Run, int]:
+    """Carry out a run and print its results; return it with the exit status."""
+    from bench.services.execution import started
+
+    out = printing.console(json=json)
+
+    def announce(new: NewRun) -> None:
+        if json != "-":
+            out.print(f"bench file: {new.manifest['bench']}, {new.manifest['bench_why']}")
+        printing.notes_on(out, new.notes)
+        if request.panel:
+            out.print(f"panel: {link_to(new.folder.name, new.folder.parent)}", soft_wrap=True)
+
+    with started(request, out, announce) as (done, interrupts):
+        return done, _results(done, interrupts, json, out)
+
+
+@app.command(epilog="Example: bench resume unit-17")
+@requested
+def resume(request: ResumeRequest, json: JsonOption = None) -> int:
+    """Go on with an interrupted run at the first point without a reading; make the results that it lacks."""
+    from bench.services.execution import resumed
+
+    printing.check_target(json)
+    out = printing.console(json=json)
+
+    def announce(found: Run) -> None:
+        if request.panel:
+            out.print(f"panel: {link_to(found.name, found.folder.parent)}", soft_wrap=True)
+
+    with resumed(request, out, announce) as (done, interrupts):
+        return _results(done, interrupts, json, out)
+
+
+def _results(run: Run, interrupts: Interrupts, json: str | None, out: Console) -> int:
+    """Make and print the results of a finished run; return the exit status."""
+    from bench.services.conclusion import make_results
+
+    found = make_results(run, interrupts)
+    for line in found.looks:
+        out.print(f"look: {line}")
+    if found.calibration is None:
+        out.print(f"the run is finished; no calibration from it: {found.no_calibration}")
+    else:
+        printing.calibration(found.calibration, found.source.output("calibrate", ".json"), out)
+        if found.report is not None:
+            printing.written("report", found.report, out)
+        if found.verification is None:
+            out.print("no verification points in this procedure: no verdict")
+        else:
+            printing.verification(found.verification, found.source.output("verify", ".json"), out)
+        if found.short:
+            goals = ", ".join(found.run.manifest.get("until", ()))
+            out.print(f"NOT REACHED: {goals}; the procedure has no more that would help")
+    printing.write_json([found.to_dict()], json)
+    _print_chart(found, out)
+    return 0 if found.accepted else 1
+
+
+def _print_chart(found: Conclusion, out: Console) -> None:
+    """Print the control chart of a run of the check block; of any other run there is nothing to say."""
+    if found.no_chart:
+        out.print(f"the run is finished; no control chart: {found.no_chart}")
+    if found.chart is None:
+        return
+    from bench.cli.chart import print_chart
+
+    print_chart(found.chart, out)
+    folder = found.run.folder
+    if found.chart_unwritten:
+        printing.notes_aside([f"{found.chart_unwritten} is not written; use --out DIR"])
+    else:
+        out.print(f"chart: {folder / 'chart.json'} (bench chart {folder.parent} --page FILE draws it)")
+
+
+@app.command(epilog="Example: bench abort unit-17")
+def abort(name: LatestRun = None, runs: RunsOption = RUNS) -> int:
+    """End an interrupted run for good; its record is kept."""
+    from bench.run.person import at_the_shell
+    from bench.services.execution import give_up, unfinished_run
+
+    found = unfinished_run(name, runs)
+    left = give_up(found, at_the_shell("command"))
+    out = printing.console()
+    out.print(f"{found.name}: aborted; its record is kept in {found.folder}")
+    for sentence in left:
+        out.print(f"look: {sentence}")
+    return 0
+
+
+@app.command(epilog='Example: bench control unit-17 skip "the cable came loose"')
+def control(
+    run: RunArgument,
+    wish: Annotated[
+        str, typer.Argument(help="pause, continue, redo (the point), redo-pass, remount, skip, stop, abort.")
+    ],
+    reason: Annotated[str, typer.Argument(help="Why; a skip needs it.")] = "",
+    runs: RunsOption = RUNS,
+) -> int:
+    """Ask something of a run that another program is carrying out; typed at a prompt it is :pause, :redo, …"""
+    from bench.run.events import Wish
+    from bench.run.folder import find_run
+    from bench.run.person import SIGN, at_the_shell, leave_wish, parse_wish
+    from bench.run.record import is_being_written
+
+    found = find_run(run, runs)
+    try:
+        asked = replace(parse_wish(f"{wish} {reason}"), by_person=False, who=at_the_shell("command"))
+    except ValueError as mistake:
+        raise Refused(str(mistake).replace(SIGN, "")) from mistake
+    if not is_being_written(found.folder):
+        raise Refused(f"{found.name}: nobody is carrying out this run; 'bench runs' tells how to go on")
+    leave_wish(found.folder, asked)
+    when = "at once" if asked.wish is Wish.STOP else "before the next step, or at the question that stands"
+    printing.console().print(f"{found.name}: {asked.wish} is asked for; it is heard {when}")
+    return 0
+
+
+# --- run --follow -----------------------------------------------------------------------------------
+
+
+def _follow(run: Run, request: RunRequest) -> int:
+    """Diagnose a run; carry out what would settle what it leaves open, and diagnose both together.
+
+    On real instruments the person is asked before. Returns the status of the further run, 0 where there is none.
+    """
+    from bench.run.folder import Run as RunFolder
+
+    out = printing.console()
+    proposal = _diagnosed([run]).next_measurement
+    if proposal is None:
+        out.print(f"{run.name}: no procedure would tell more")
+        return 0
+    if not run.simulated and not _agreed(proposal, out):
+        out.print(f"{run.name}: not measured further; later with: bench run {proposal.procedure}")
+        return 0
+    name = next(name for n in count(2) if not run.folder.with_name(name := f"{run.name}-{n}").exists())
+    # a dry run draws another stand for the mountings to come
+    seed = request.seed + 1
+    further = replace(request, procedure=str(proposal.procedure), name=name, seed=seed, until=None)
+    _, status = _measured(further, None)
+    _diagnosed([run, RunFolder(run.folder.with_name(name))])
+    return status
+
+
+def _diagnosed(runs: list[Run]) -> FullDiagnosis:
+    """Diagnose runs as one body of data and print it; the last run's folder keeps the JSON."""
+    from bench.cli.diagnose import diagnosed
+    from bench.services.source import Request, done
+
+    names = [str(run.folder) for run in runs]
+    request = Request(names, runs[0].folder.parent)
+    file = runs[-1].folder / ("diagnose-together.json" if len(runs) > 1 else "diagnose.json")
+    (result,) = done(diagnosed(request, str(file), together=len(runs) > 1))
+    return result
+
+
+def _agreed(proposal: Proposal, out: Console) -> bool:
+    from bench.run.person import YES, ask
+    from bench.run.terminal import TerminalPerson
+    from drivers.interfaces import NoAnswer
+    from drivers.person import Prompt, PromptKind
+
+    prompt = Prompt(
+        id="follow",
+        kind=PromptKind.CONFIRM,
+        text=f"Carry out {proposal.procedure.name} now (about {proposal.minutes:.0f} min)?",
+        action={"do": "answer"},
+    )
+    try:
+        return ask(TerminalPerson(sys.stdin, out), prompt).lower() in YES
+    except NoAnswer:
+        return False
