@@ -5,8 +5,8 @@
 The full budget: every source of the shipped bench, generalised least squares, covariance and degrees of freedom
 of the twelve coefficients, from conditions to numbers. For the peers, who have no estimator of their own, the
 gain is given, and the case is the one that they can do: 54 uncertain signals (the means of three passes), the
-paper's (8), twelve values with their covariance. Monte Carlo: as many normal draws through the same gain.
-Promised: the full budget in less than 50 ms, a million trials in a second.
+paper's (8), twelve values with their covariance. Monte Carlo: every source through the exact geometry.
+Promised: the full budget in less than 50 ms.
 """
 
 from __future__ import annotations
@@ -23,10 +23,8 @@ import numpy as np
 import uncertainties
 
 from bench.base.arrays import Floats
-from bench.calibration.budget.acceleration import exact_monte_carlo
-from bench.calibration.budget.coefficients import make_budget
-from bench.calibration.budget.propagation import linear_noise
-from bench.calibration.budget.setup import Setup, make_setup
+from bench.calibration.budget.assessment import exact_monte_carlo
+from bench.calibration.budget.coefficients import Setup, make_budget, make_setup
 from bench.calibration.budget.sources import bench_sources
 from bench.calibration.closed_form import closed_form
 from bench.config.bench_file.file import load_bench
@@ -34,8 +32,7 @@ from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 
 REPEATS = 7
-TRIALS = 2_000_000
-BUDGET_S, TRIALS_S = 0.050, 1e6
+BUDGET_S = 0.050
 SIGMA_V = 1e-4
 
 
@@ -97,18 +94,11 @@ def main() -> int:
         peer_s = seconds(partial(peer, gain, signals))
         print(f"{name:38} {1e3 * peer_s:9.4f} {peer_s / own_s:7.0f}   agrees to {worst:.0e}")
 
-    rates = []
-    print(f"\n{'Monte Carlo':38} {'trials/s':>9}")
-    whole = make_budget(setup, sources, "closed-form").gain[:, setup.fitted].reshape(12, -1)
-    for name, matrix in (("54 signals to 12 values", gain), ("162 signals to 12 values", whole)):
-        sigma = np.full(matrix.shape[1], SIGMA_V)
-        rate = TRIALS / seconds(partial(linear_noise, matrix, sigma, 1, TRIALS), 3)
-        rates.append(rate)
-        print(f"{name:38} {rate:9.3g}")
     exact = make_budget(setup, sources)
+    print(f"\n{'Monte Carlo':38} {'trials/s':>9}")
     exact_rate = 20_000 / seconds(lambda: exact_monte_carlo(exact, 20_000), 3)
     print(f"{'exact geometry, all sources, Δg':38} {exact_rate:9.3g}")
-    return 0 if budget_s < BUDGET_S and rates[0] >= TRIALS_S else 1
+    return 0 if budget_s < BUDGET_S else 1
 
 
 if __name__ == "__main__":

@@ -13,18 +13,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.calibration.budget.coefficients import make_budget
-from bench.calibration.budget.setup import Setup
+from bench.calibration.budget.coefficients import Setup, make_budget
 from bench.calibration.budget.sources import stand_source
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.model import Distribution, ForwardModel, Mounting
-from bench.planning.optimal_design import Goal, coefficient_goals, vector_goal
+from bench.planning.optimal_design import Goal, Stand, coefficient_goals, vector_goal
 from bench.planning.points import Points, Sites, Times, best_within, cheapest
 from bench.planning.settings import Setting, conditions_of, fitted, settings_of
-from bench.planning.stand import Stand
 
 ANGLES = 24
 COUNTED = Times().cost(50.0, verified=False)

@@ -20,25 +20,23 @@ from bench.config.procedure.plan import Plan, Read
 from bench.model.conditions import Mounting
 from bench.model.forward import ForwardModel
 from bench.planning.optimal_design import (
+    WITHOUT_NOISE,
     ExchangeDesign,
     Goal,
+    Promise,
     SettingPool,
+    Stand,
     best_of,
+    checks_of,
     even,
     fewest,
     least_settings,
-    worst,
-)
-from bench.planning.settings import Cost, Setting, conditions_of
-from bench.planning.stand import (
-    WITHOUT_NOISE,
-    Promise,
-    Stand,
-    checks_of,
     parts_of_goals,
     repeats,
     whitened,
+    worst,
 )
+from bench.planning.settings import Cost, Setting, conditions_of
 from bench.readings.table import VERIFICATION
 
 _EVENLY_MOST: Final = 4

@@ -12,10 +12,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from bench.base.arrays import Floats
-from bench.calibration.budget.acceleration import delta_g, directions, measured
-from bench.calibration.budget.coefficients import Budget, make_budget
+from bench.calibration.budget.assessment import delta_g, directions, measured
+from bench.calibration.budget.coefficients import Budget, Setup, make_budget
 from bench.calibration.budget.error_source import ErrorSource
-from bench.calibration.budget.setup import Setup
 from bench.calibration.result import CalibrationError
 from bench.model.geometry import COEFFICIENTS
 

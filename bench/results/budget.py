@@ -19,8 +19,7 @@ from bench.base.files import write_whole
 from bench.base.numbers import fixed
 from bench.base.result_model import Matrix, Real, ResultModel, Vector
 from bench.base.tables import as_html, as_text, table
-from bench.calibration.budget.acceleration import DIGITS, ExactResult
-from bench.calibration.budget.assessment import Assessment
+from bench.calibration.budget.assessment import DIGITS, Assessment, ExactResult
 from bench.calibration.budget.coefficients import Contribution
 from bench.calibration.budget.propagation import correlation_of, coverage_factor
 from bench.calibration.conformity import DecisionRule

@@ -13,9 +13,9 @@ from rich.console import Console
 from bench.base.computing import tracked
 from bench.base.units import ACCELERATION, SCALE_FACTOR, VOLTAGE, QuantityKind
 from bench.calibration.budget.assessment import Question, assess
+from bench.calibration.budget.coefficients import Setup, make_setup
 from bench.calibration.budget.error_source import ErrorSource
 from bench.calibration.budget.propagation import COVERAGE, require_trials
-from bench.calibration.budget.setup import Setup, make_setup
 from bench.calibration.budget.sources import bench_sources
 from bench.calibration.estimators import ESTIMATORS, in_a_budget
 from bench.calibration.mistakes import refuse_singular

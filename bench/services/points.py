@@ -13,7 +13,7 @@ from rich.console import Console
 
 from bench.base.arrays import Floats
 from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE
-from bench.calibration.budget.setup import meters_of
+from bench.calibration.budget.coefficients import meters_of
 from bench.calibration.budget.sources import assumed_stand, signed_sources
 from bench.calibration.known import KnownStand
 from bench.config.bench_file.file import BenchFile
@@ -24,6 +24,7 @@ from bench.model import ForwardModel, Mounting
 from bench.model.geometry import specific_force_on_platform
 from bench.planning.optimal_design import (
     Goal,
+    Stand,
     coefficient_goals,
     delta_g_goals,
     modulus_goals,
@@ -40,7 +41,6 @@ from bench.planning.points import (
     procedure_text,
 )
 from bench.planning.settings import Cost, Setting, fitted, settings_of
-from bench.planning.stand import Stand
 from bench.readings.table import UNORIENTED, VERIFICATION
 from bench.results.planning import PlanPointsResult, plan_points_result, print_points
 from bench.run.sentences import duration

@@ -32,13 +32,13 @@ from bench.model.effects import CATALOGUE
 from bench.model.forward import ForwardModel
 from bench.planning.optimal_design import (
     Goal,
+    Stand,
     coefficient_goals,
     modulus_goals,
     vector_goal,
     whole_goal,
 )
 from bench.planning.settings import Cost, Outlook, outlook, settings_of
-from bench.planning.stand import Stand
 from bench.planning.until.choice import REACHED, Chooser, Standing, scale_of, telling_apart
 from bench.planning.until.outlook import TimeOutlook, time_outlook
 from bench.planning.until.pool import (

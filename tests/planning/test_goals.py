@@ -8,13 +8,13 @@ from bench.calibration.verification import modulus_slopes
 from bench.model import Mounting
 from bench.planning.optimal_design import (
     Goal,
+    Stand,
     coefficient_goals,
     delta_g_goals,
     modulus_goals,
     vector_goal,
 )
 from bench.planning.settings import conditions_of
-from bench.planning.stand import Stand
 from tests.support.paper_bench import ARCSEC, K
 from tests.support.planning_bench import PAPER, SIZES, STAND
 

@@ -14,9 +14,8 @@ from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS
-from bench.planning.optimal_design import coefficient_goals, widening
+from bench.planning.optimal_design import checks_of, coefficient_goals, repeats, widening
 from bench.planning.settings import conditions_of, fitted, settings_of
-from bench.planning.stand import checks_of, repeats
 from bench.readings.table import make_readings
 from bench.services.points import delta_g_of, stand_of
 from drivers.clock import utc_now

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.calibration import CalibrationError
-from bench.calibration.budget.coefficients import make_budget
-from bench.calibration.budget.setup import make_setup
+from bench.calibration.budget.coefficients import make_budget, make_setup
 from bench.calibration.budget.sources import bench_sources, stand_source
 from bench.calibration.closed_form import closed_form_gain
 from bench.calibration.verification import modulus_slopes

@@ -11,8 +11,7 @@ import pytest
 import bench as program
 from bench.base.arrays import ARCSEC
 from bench.calibration import calibrate as estimate
-from bench.calibration.budget.coefficients import make_budget
-from bench.calibration.budget.setup import make_setup
+from bench.calibration.budget.coefficients import make_budget, make_setup
 from bench.calibration.budget.sources import bench_sources
 from bench.config.bench_file.file import load_bench
 from bench.config.bench_file.traceability import corrections_of

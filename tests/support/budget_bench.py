@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from bench.calibration.budget.coefficients import Setup
 from bench.calibration.budget.error_source import ErrorSource
-from bench.calibration.budget.setup import Setup
 from bench.calibration.budget.sources import stand_source
 from bench.model import AppliedEffect, Block, Conditions, Distribution, ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2

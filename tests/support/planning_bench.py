@@ -8,10 +8,9 @@ from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.model import Block, ForwardModel, Mounting
-from bench.planning.optimal_design import Goal, whole_goal
+from bench.planning.optimal_design import Goal, Stand, whole_goal
 from bench.planning.points import Sites
 from bench.planning.settings import Cost, fitted, settings_of
-from bench.planning.stand import Stand
 from tests.support.paper_bench import U0, K
 
 BENCH = load_bench(find_bench("paper-stand"))

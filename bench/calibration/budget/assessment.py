@@ -1,28 +1,416 @@
-"""Everything that a budget says of a bench: coefficients, measured accelerations, the check, Monte Carlo."""
+"""What follows from a budget: any measured acceleration, the check at the verification points, Monte Carlo."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy import special
 
-from bench.calibration.budget.acceleration import (
-    AtMagnitude,
-    DeltaG,
-    ExactResult,
-    delta_g,
-    exact_monte_carlo,
-    magnitudes,
-    over_directions,
+from bench.base.arrays import Floats
+from bench.base.computing import tracked
+from bench.calibration.budget.coefficients import (
+    Budget,
+    Contribution,
+    Setup,
+    influences,
+    make_budget,
+    parts_of,
 )
-from bench.calibration.budget.coefficients import Budget, make_budget
 from bench.calibration.budget.error_source import ErrorSource
-from bench.calibration.budget.setup import Setup
+from bench.calibration.budget.propagation import (
+    Distributed,
+    Propagated,
+    Validation,
+    batches,
+    coverage_factor,
+    drawn,
+    effective_dof,
+    require_trials,
+    summary,
+    validate,
+)
 from bench.calibration.budget.sources import ROLL_ORIGIN
-from bench.calibration.conformity import DecisionRule, Population
+from bench.calibration.conformity import SIMPLE, DecisionRule, Known, Population
+from bench.calibration.design import coefficient_columns
 from bench.calibration.known import KnownStand
+from bench.calibration.result import CalibrationError
+from bench.calibration.verification import modulus_slopes
+from bench.model.conditions import Conditions
+from bench.model.effects import Stage
+from bench.model.effects.base import Seen
+from bench.model.geometry import COEFFICIENTS, STAND_ANGLES
+
+DIRECTIONS: Final = 1000
+MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Uncertainty of measured accelerations `force` (d, 3), g.
+
+    `by_source` holds the covariance (d, 3, 3) from each source in g², `dof` the degrees of freedom of each.
+    """
+
+    force: Floats
+    by_source: dict[str, Floats]
+    dof: dict[str, float]
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance of the three components, g², shape (d, 3, 3)."""
+        return sum(self.by_source.values(), np.zeros((len(self.force), 3, 3)))
+
+    @property
+    def u_vector(self) -> Floats:
+        """Root of the sum of the three variances, g, shape (d,)."""
+        return np.asarray(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2)))
+
+    @property
+    def u_modulus(self) -> Floats:
+        """Standard uncertainty of the modulus, g, shape (d,)."""
+        return np.sqrt(self.modulus_variance(self.covariance))
+
+    @property
+    def dof_modulus(self) -> Floats:
+        """Effective degrees of freedom of the modulus, shape (d,)."""
+        variances = np.stack([self.modulus_variance(c) for c in self.by_source.values()], axis=1)
+        return effective_dof(variances, list(self.dof.values()))
+
+    def modulus_variance(self, covariance: Floats) -> Floats:
+        """Return the variance of the modulus (d,) from covariances (d, 3, 3) of the components."""
+        unit = self.force / np.linalg.norm(self.force, axis=1)[:, None]
+        return np.asarray(np.einsum("di,dij,dj->d", unit, covariance, unit))
+
+
+def measured(
+    budget: Budget, force: Floats, *, reading: bool = True, same_voltmeters: bool = False
+) -> Measured:
+    """Return the uncertainty of accelerations `force` (d, 3), g, each from one reading.
+
+    Without `reading` the errors of the coefficients stand alone. With `same_voltmeters` the block is read with
+    those of the calibration, whose gain and offset cancel; else with others of the same accuracy. Temperature
+    is that of the calibration. Raises `CalibrationError` for an acceleration of zero.
+    """
+    if not np.all(np.linalg.norm(force, axis=1) > 0.0):
+        raise CalibrationError("an acceleration of zero has no direction; give one of a few micro g or more")
+    inverse = np.linalg.inv(budget.setup.block.K)
+    design = coefficient_columns(force)
+    by_source, dof = {}, {}
+    for contribution in budget.contributions:
+        errors = -(design @ contribution.parts)
+        apart = np.zeros((len(force), 3, 0))
+        if reading:
+            shared, apart = _of_reading(contribution, budget, force, same_voltmeters=same_voltmeters)
+            errors = errors + shared
+        parts = inverse @ np.concatenate([errors, apart], axis=2)
+        by_source[contribution.source.name] = parts @ np.swapaxes(parts, 1, 2)
+        dof[contribution.source.name] = contribution.source.dof
+    return Measured(force, by_source, dof)
+
+
+def _of_reading(
+    contribution: Contribution, budget: Budget, force: Floats, *, same_voltmeters: bool
+) -> tuple[Floats, Floats]:
+    """What a source does to the reading, V per draw: (d, 3, q) by the calibration's draws, and by new ones."""
+    source, block = contribution.source, budget.setup.block
+    per_channel = np.eye(3)[None]
+    alone = np.zeros((len(force), 3, 0))
+    none = np.zeros((1, 3, 1))
+    if source.kind in {"voltmeter_error", "voltmeter_linearity"}:
+        own = source.u * per_channel * source.on_channels
+        return none, np.broadcast_to(own, (len(force), 3, 3))
+    if source.kind in {"voltmeter_gain", "voltmeter_offset"}:
+        sensed = block.output(force) if source.kind == "voltmeter_gain" else np.ones_like(force)
+        sensed = sensed * source.on_channels
+        meters = np.unique(budget.setup.meters, return_inverse=True)[1]
+        errors = source.acting(sensed[:, :, None] * np.eye(int(meters.max()) + 1)[meters][None])
+        return (errors, alone) if same_voltmeters else (none, errors)
+    if source.name in {"K2", "K3"}:
+        power = force ** int(source.name[1]) * np.diag(block.K) * source.on_channels
+        return source.u * power[:, :, None] * per_channel, alone
+    if source.effect is not None:
+        return _of_effect(source, budget, force), alone
+    return none, alone
+
+
+def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
+    """An effect of the block acts alike in use; what depends on time or temperature is at its reference."""
+    unknown, setup = source.effect, budget.setup
+    none = np.zeros((1, 3, 1))
+    if unknown is None:
+        return none
+    applied = setup.model.effects[unknown.effect]
+    if applied.effect.stage is not Stage.BLOCK_OUTPUT or applied.effect.needs_history:
+        return none
+    seen = Seen(force, Conditions.of(["1"] * len(force), np.zeros(len(force))), setup.block)
+    values = applied.complete_values()
+    step = 1e-3 * unknown.prior_u
+
+    def addition(change: float) -> Floats:
+        changed = np.array(values[unknown.parameter])
+        changed[() if unknown.channel is None else unknown.channel] += change
+        all_values = {**values, unknown.parameter: changed}
+        return applied.effect.addition(all_values, seen)
+
+    slope = (addition(step) - addition(-step)) / (2 * step)
+    return source.u * slope[:, :, None]
+
+
+def directions(count: int = DIRECTIONS) -> Floats:
+    """Return unit vectors (count + 6, 3), even over the sphere (golden spiral), then the six axes."""
+    i = np.arange(count) + 0.5
+    z, turn = 1.0 - 2.0 * i / count, np.pi * (1.0 + np.sqrt(5.0)) * i
+    flat = np.sqrt(1.0 - z**2)
+    spiral = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
+    return np.concatenate([spiral, np.eye(3), -np.eye(3)])
+
+
+def magnitudes(range_g: float) -> tuple[float, ...]:
+    """Return the magnitudes to state up to a measuring range, g, the range among them."""
+    return (*(m for m in MAGNITUDES_G if m < range_g), range_g)
+
+
+@dataclass(frozen=True)
+class AtMagnitude:
+    """Uncertainties over all directions at one magnitude, g: mean and largest of vector and modulus.
+
+    `U_modulus` is the largest expanded uncertainty of the modulus; `share` each source's part of the mean
+    variance of the modulus.
+    """
+
+    magnitude_g: float
+    u_vector_mean: float
+    u_vector_max: float
+    u_modulus_mean: float
+    u_modulus_max: float
+    U_modulus_max: float
+    share: dict[str, float]
+
+
+def over_directions(
+    budget: Budget, magnitude_g: float, *, reading: bool = True, same_voltmeters: bool = False
+) -> AtMagnitude:
+    """Return the uncertainty of accelerations of one magnitude, mean and largest over directions."""
+    found = measured(budget, magnitude_g * directions(), reading=reading, same_voltmeters=same_voltmeters)
+    even = slice(0, DIRECTIONS)
+    u, factor = found.u_modulus, coverage_factor(found.dof_modulus, budget.probability)
+    parts = {n: float(np.mean(found.modulus_variance(c)[even])) for n, c in found.by_source.items()}
+    total = sum(parts.values())
+    return AtMagnitude(
+        magnitude_g,
+        float(found.u_vector[even].mean()),
+        float(found.u_vector.max()),
+        float(u[even].mean()),
+        float(u.max()),
+        float(np.max(factor * u)),
+        {name: part / total if total > 0.0 else 0.0 for name, part in parts.items()},
+    )
+
+
+# --- delta g ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class DeltaG:
+    """What the check at one verification point will be worth: u, U of delta g in local g, by source, decision.
+
+    `accepted_up_to` is the acceptance limit; `passes` the probability that a calibration without a mistake
+    passes here; `capable` that U is within the acceptance limit.
+    """
+
+    angle_deg: float
+    point: int
+    u: float
+    dof: float
+    U: float
+    by_source: dict[str, float]
+    accepted_up_to: float
+    passes: float
+
+    @property
+    def capable(self) -> bool:
+        """Whether the check can be passed with the coverage probability of U."""
+        return self.accepted_up_to >= self.U
+
+
+def delta_g(
+    budget: Budget,
+    limit_g: float,
+    rule: str | DecisionRule = SIMPLE,
+    *,
+    reading: bool = True,
+    population: Population | None = None,
+) -> tuple[DeltaG, ...]:
+    """Return the uncertainty of delta g at each verification point of the setup, and the decision that it allows.
+
+    Gain and gravity act on calibration and check alike and cancel; without `reading` the errors of the
+    coefficients stand alone. Raises `CalibrationError` for an unknown rule.
+    """
+    setup, decision = budget.setup, DecisionRule.of(rule)
+    rows = np.flatnonzero(setup.verification)
+    if not len(rows):
+        return ()
+    by_coefficient, by_signal = modulus_slopes(setup.force[rows], setup.block)
+    functionals = np.einsum("vp,pni->vni", by_coefficient, budget.gain)
+    if reading:
+        functionals[np.arange(len(rows)), rows] += by_signal
+    parts = [parts_of(c.source, setup, functionals) for c in budget.contributions]
+    variances = np.stack([np.sum(part**2, axis=1) for part in parts], axis=1)
+    u, dof = (
+        np.sqrt(variances.sum(axis=1)),
+        effective_dof(variances, [c.source.dof for c in budget.contributions]),
+    )
+    expanded = coverage_factor(dof, budget.probability) * u
+    limits = decision.acceptance_limit(limit_g, Known(u, expanded, dof, population)).tolist()
+    found = []
+    for i, row in enumerate(rows):
+        found.append(
+            DeltaG(
+                angle_deg=float(np.degrees(setup.conditions.angle_rad[row])),
+                point=int(setup.conditions.point[row]),
+                u=float(u[i]),
+                dof=float(dof[i]),
+                U=float(expanded[i]),
+                by_source=_named(budget.contributions, np.sqrt(variances[i])),
+                accepted_up_to=limits[i],
+                passes=_within(limits[i], float(u[i])),
+            )
+        )
+    return tuple(found)
+
+
+def _named(contributions: Sequence[Contribution], values: Floats) -> dict[str, float]:
+    return {c.source.name: float(v) for c, v in zip(contributions, values, strict=True)}
+
+
+def _within(limit: float, u: float) -> float:
+    """Probability that a normal error stays within a limit."""
+    if limit <= 0.0:
+        return 0.0
+    return float(special.erf(limit / (u * np.sqrt(2.0)))) if u > 0.0 else 1.0
+
+
+BATCH: Final = 200
+"""Trials at once: so few that their readings stay in the cache and that no product is shared out to threads."""
+DIGITS: Final = 1
+"""Significant digits of u that count as meaningful: the sizes of a bench's errors are known to no more."""
+
+
+@dataclass(frozen=True)
+class ExactResult:
+    """Monte Carlo and linear result of 12 coefficients, then delta g at each verification point.
+
+    `names` (m,) tells them; `verdict` is that of JCGM 101:2008, clause 8.
+    """
+
+    names: tuple[str, ...]
+    linear: Propagated
+    trials: Distributed
+    verdict: Validation
+
+
+def exact_monte_carlo(budget: Budget, trials: int, seed: int = 1, digits: int = DIGITS) -> ExactResult:
+    """Propagate the sources of a budget through the exact geometry and compare.
+
+    Raises `CalibrationError` for fewer trials than a coverage interval needs.
+    """
+    require_trials(trials, budget.probability)
+    rng = np.random.default_rng(seed)
+    simulated = _Simulation(budget)
+    sizes = tracked(list(batches(trials, BATCH)), "Monte Carlo trials")
+    outputs = np.concatenate([simulated.outputs(count, rng) for count in sizes])
+    found = summary(outputs, budget.probability)
+    linear = _linear(budget)
+    points = [f"Δg {np.degrees(a):g}°" for a in budget.setup.conditions.angle_rad[budget.setup.verification]]
+    return ExactResult((*COEFFICIENTS, *points), linear, found, validate(linear, found, digits))
+
+
+def exact_readings(budget: Budget, trials: int, rng: np.random.Generator) -> Floats:
+    """Return simulated readings (trials, n, 3), V, with every source of the budget drawn."""
+    return _Simulation(budget).readings(trials, rng)
+
+
+def _linear(budget: Budget) -> Propagated:
+    """Coefficients and delta g as the linear budget has them; covariances between the two are left out."""
+    total = budget.combined
+    points = delta_g(budget, np.inf)
+    covariance = np.zeros((12 + len(points), 12 + len(points)))
+    covariance[:12, :12] = total.covariance
+    covariance[np.arange(12, len(covariance)), np.arange(12, len(covariance))] = [p.u**2 for p in points]
+    return Propagated(
+        np.concatenate([total.value, np.zeros(len(points))]),
+        covariance,
+        np.concatenate([total.dof, [p.dof for p in points]]),
+    )
+
+
+class _Simulation:
+    """The bench of a budget, many trials at once."""
+
+    def __init__(self, budget: Budget) -> None:
+        self._budget = budget
+        self._setup = budget.setup
+        sources = [c.source for c in budget.contributions if c.source.u > 0.0]
+        self._angles = [s for s in sources if s.name in STAND_ANGLES or s.angles]
+        self._setting = [s for s in sources if s.name == "setting_error"]
+        still = np.zeros((len(self._setup.conditions.mounts), len(STAND_ANGLES)))
+        self._plain = replace(self._setup.model, effects=())
+        plain = self._plain.readings(self._setup.block, self._setup.conditions, still)
+        self._effects = self._setup.signal - plain
+        self._additive = [
+            (s, influences(s, self._setup)) for s in sources if s not in self._angles + self._setting
+        ]
+
+    def outputs(self, trials: int, rng: np.random.Generator) -> Floats:
+        """Return coefficients and delta g, shape (trials, 12 + v)."""
+        setup, gain = self._setup, self._budget.gain
+        readings = self.readings(trials, rng)
+        coefficients = self._estimate(readings - setup.signal, gain)
+        rows = readings[:, setup.verification]
+        K, U0 = coefficients[:, :9].reshape(-1, 3, 3), coefficients[:, 9:]
+        force = np.linalg.solve(K, np.swapaxes(rows - U0[:, None], 1, 2))
+        return np.concatenate([coefficients, np.linalg.norm(force, axis=1) - 1.0], axis=1)
+
+    def _estimate(self, excess: Floats, gain: Floats) -> Floats:
+        """Apply the estimator to readings less those of a stand without errors, which it returns exactly."""
+        flat = excess.reshape(len(excess), -1) @ gain.reshape(len(gain), -1).T
+        return self._setup.block.vector + flat
+
+    def readings(self, trials: int, rng: np.random.Generator) -> Floats:
+        """Return readings (trials, n, 3), V."""
+        setup = self._setup
+        n, mounts = len(setup.conditions), len(setup.conditions.mounts)
+        stand = np.zeros((trials, mounts, len(STAND_ANGLES)))
+        for source in self._angles:
+            kinds = [STAND_ANGLES.index(name) for name in source.angles or (source.name,)]
+            drawn_angles = _draw(source, (trials, len(kinds) * mounts), rng).reshape(
+                trials, len(kinds), mounts
+            )
+            stand[:, :, kinds] += np.swapaxes(drawn_angles, 1, 2)
+        setting = sum((_draw(s, (trials, n), rng) for s in self._setting), np.zeros((trials, n)))
+        signal = self._plain.readings(
+            setup.block,
+            setup.conditions.repeated(trials),
+            stand.reshape(-1, len(STAND_ANGLES)),
+            setting.reshape(-1),
+        ).reshape(trials, n, 3)
+        signal += self._effects
+        for source, parts in self._additive:
+            for part in parts:
+                signal += part.on_readings(_draw(source, (trials, part.draws), rng))
+        return signal
+
+
+def _draw(source: ErrorSource, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
+    if source.root is None:
+        return drawn(source.distribution, shape, rng, source.dof)
+    root = np.array(source.root)
+    independent = drawn(source.distribution, (shape[0], root.shape[1]), rng, source.dof)
+    return np.asarray(independent @ root.T)
+
 
 DOMINATES: Final = 0.5
 """A source (or all of what the block has beside K and U0) dominates with more than this part of the variance."""

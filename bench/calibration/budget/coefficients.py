@@ -1,27 +1,430 @@
-"""The budget: what each error of the bench contributes to each coefficient, correlations kept."""
+"""The budget: what each error of the bench does to the readings, and through an estimator to each coefficient."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Final, Protocol
 
 import numpy as np
 
-from bench.base.arrays import Floats
-from bench.calibration.budget.error_source import ErrorSource
-from bench.calibration.budget.patterns import Seen, influences
+from bench.base.arrays import Floats, Ints, Mask
+from bench.calibration import gls
+from bench.calibration.assumptions import require_rank
+from bench.calibration.budget.error_source import NAME as FOUNDATION
+from bench.calibration.budget.error_source import ErrorSource, tilt_patterns
 from bench.calibration.budget.propagation import (
     COVERAGE,
     Propagated,
     effective_dof,
 )
-from bench.calibration.budget.setup import Setup
-from bench.calibration.budget.setup import gain as gain_of
-from bench.calibration.budget.sources import sizes_by_name
-from bench.calibration.estimators import GLS
+from bench.calibration.design import FIXED, STEP_RAD, Problem, make_problem
+from bench.calibration.estimator import Task
+from bench.calibration.estimators import GLS, in_a_budget
 from bench.calibration.known import KnownStand
+from bench.calibration.result import CalibrationError, Noise
+from bench.config.bench_file.file import STAND_ERRORS, BenchFile
+from bench.config.procedure.plan import Plan, Read, SetTemperature
+from bench.model.conditions import Conditions
+from bench.model.forward import ForwardModel
+from bench.model.geometry import STAND_ANGLES, Block
+from bench.readings.table import UNORIENTED, VERIFICATION, Readings, make_readings
+
+_SAME_FORCE_G: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Readings, planned or taken, with the block and the model that they are of.
+
+    `conditions` hold n readings, the verification points among them; `meters` numbers the voltmeter of each
+    of the channels x, y, z: channels with the same number share one.
+    """
+
+    model: ForwardModel
+    conditions: Conditions
+    block: Block
+    meters: tuple[int, int, int] = (0, 1, 2)
+
+    @cached_property
+    def verification(self) -> Mask:
+        """Which readings are verification points, shape (n,)."""
+        of = np.array([mount.installation == VERIFICATION for mount in self.conditions.mounts])
+        return np.asarray(of[self.conditions.mount])
+
+    @property
+    def fitted(self) -> Mask:
+        """Which readings the estimator uses, shape (n,)."""
+        return ~self.verification
+
+    @cached_property
+    def force(self) -> Floats:
+        """Specific forces on the block at a stand without errors, g, shape (n, 3)."""
+        return self.model.specific_force(self.conditions, self._angles(), self.block)
+
+    @cached_property
+    def signal(self) -> Floats:
+        """The readings at a stand without errors, V, shape (n, 3)."""
+        return self.model.readings(self.block, self.conditions, self._angles())
+
+    @cached_property
+    def setting_slope(self) -> Floats:
+        """du/dphi, V/rad, shape (n, 3)."""
+        return self._slope(lambda step: (self._angles(), step))
+
+    def stand_slope(self, name: str) -> Floats:
+        """Return the derivatives of the readings by a stand angle of their mounting, V/rad, shape (n, 3)."""
+        if name not in self._stand_slopes:
+            self._stand_slopes[name] = self._slope(lambda step: (self._angles(name, step), 0.0))
+        return self._stand_slopes[name]
+
+    @cached_property
+    def _stand_slopes(self) -> dict[str, Floats]:
+        """Those that were asked for: a requirement goes through hundreds of budgets of one setup."""
+        return {}
+
+    def _slope(self, errors: Callable[[float], tuple[Floats, float]]) -> Floats:
+        up, down = (
+            self.model.readings(self.block, self.conditions, *errors(step)) for step in (STEP_RAD, -STEP_RAD)
+        )
+        return (up - down) / (2 * STEP_RAD)
+
+    @cached_property
+    def orientation(self) -> Ints:
+        """A number for each reading, shape (n,): the same where the specific force is the same."""
+        rounded = np.round(self.force / _SAME_FORCE_G) + 0.0
+        _, numbers = np.unique(rounded, axis=0, return_inverse=True)
+        return numbers.ravel()
+
+    @cached_property
+    def effect_problem(self) -> Problem:
+        """The problem whose only unknowns beside the coefficients are the parameters of effects."""
+        return make_problem(self.model, self.conditions, {})
+
+    @cached_property
+    def effect_columns(self) -> Floats:
+        """Derivatives of the readings by the parameters of effects, V per SI, shape (n, 3, q)."""
+        problem = self.effect_problem
+        return problem.jacobian(self.block, problem.prior_mean)[:, :, FIXED:]
+
+    def _angles(self, name: str | None = None, size_rad: float = 0.0) -> Floats:
+        angles = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
+        if name is not None:
+            angles[:, STAND_ANGLES.index(name)] = size_rad
+        return angles
+
+    def readings(self) -> Readings:
+        """Return the readings to fit as a table without noise, in the order of `conditions`."""
+        own = self.conditions.select(self.fitted)
+        return make_readings(
+            [own.mounts[m].installation for m in own.mount],
+            own.pass_number.tolist(),
+            own.point.tolist(),
+            own.angle_rad,
+            self.signal[self.fitted],
+            source="the plan",
+            series=[own.mounts[m].series for m in own.mount],
+            direction=own.direction.tolist(),
+            time_s=own.time_s,
+            temperature_c=own.temperature_c,
+        )
+
+
+def planned_conditions(plan: Plan, line_hz: float = 50.0) -> Conditions:
+    """Return the conditions of the readings of a plan whose orientation is known, in order.
+
+    Times are those that the plan expects, a temperature is that of the chamber's last demand.
+    """
+    rows: list[tuple[Read, float, float]] = []
+    time_s, temperature_c = 0.0, float("nan")
+    for step in plan.steps:
+        time_s += plan.step_duration_s(step, line_hz)
+        if isinstance(step, SetTemperature):
+            temperature_c = step.target_c
+        elif isinstance(step, Read) and step.target_rad is not None and step.installation not in UNORIENTED:
+            rows.append((step, time_s, temperature_c))
+    if not rows:
+        raise CalibrationError(
+            f"{plan.name}: has no reading at a known angle of the head; take another procedure"
+        )
+    reads = [row[0] for row in rows]
+    return Conditions.of(
+        [read.installation for read in reads],
+        np.array([read.target_rad for read in reads], dtype=np.float64),
+        series=[read.series for read in reads],
+        pass_number=[read.pass_number for read in reads],
+        point=[read.point for read in reads],
+        direction=[read.direction or 0 for read in reads],
+        time_s=[row[1] for row in rows],
+        temperature_c=[row[2] for row in rows],
+    )
+
+
+def make_setup(
+    plan: Plan, bench: BenchFile, model: ForwardModel | None = None, block: Block | None = None
+) -> Setup:
+    """Set up the budget of a plan on a bench: about `block`, else the block that the bench file states.
+
+    Raises `CalibrationError` when the plan has an installation that the bench lacks, or no reading to fit.
+    """
+    conditions = planned_conditions(plan, bench.line_frequency)
+    chain = ForwardModel(bench.installation_models()) if model is None else model
+    strange = sorted({m.installation for m in conditions.mounts} - set(chain.installations))
+    if strange:
+        raise CalibrationError(
+            f"{plan.name}: the bench file has no installation {', '.join(strange)} "
+            f"(it has {', '.join(chain.installations)}); state it there"
+        )
+    about = bench.simulated_block() if block is None else block
+    setup = Setup(chain, conditions, about, meters_of([m.channels for m in bench.instruments.voltmeters]))
+    if not np.any(setup.fitted):
+        raise CalibrationError(
+            f"{plan.name}: has verification points only; a calibration needs installations"
+        )
+    return setup
+
+
+def meters_of(channels: Sequence[Sequence[str]]) -> tuple[int, int, int]:
+    """Return the number of the voltmeter of x, y and z, from the channels that each voltmeter carries."""
+    of = {channel: number for number, meter in enumerate(channels) for channel in meter}
+    return of["x"], of["y"], of["z"]
+
+
+def estimator_map(
+    estimator: str, setup: Setup, stated: Mapping[str, float], known: KnownStand | None = None
+) -> Floats:
+    """Return the map from readings to the 12 coefficients, shape (12, n, 3); zero at verification points.
+
+    `stated` are the standard uncertainties of the stand errors by name (rad, V), from which generalised least
+    squares weighs the readings, `known` what was learned in their place.
+    An estimator that no fixed weighting is has the map at which it comes to rest
+    where nothing is an outlier. Raises `CalibrationError` for another estimator, or when the readings do not
+    determine the coefficients or are not those that the closed form knows.
+    """
+    by = in_a_budget(estimator)
+    require_rank(setup.force[setup.fitted])
+    stand_u = {name: stated.get(name, 0.0) for name in STAND_ANGLES}
+    if known is not None:
+        # a mean that is known is taken away: what is left of it lies about nothing
+        known = replace(known, mean=np.zeros_like(known.mean))
+    problem = make_problem(setup.model, setup.conditions.select(setup.fitted), stand_u, known=known)
+    whole = np.zeros((FIXED, len(setup.conditions), 3))
+    if by.gain is not None:
+        whole[:, setup.fitted] = by.gain(problem, setup.readings())
+    else:
+        whole[:, setup.fitted] = by.weigh(_task(problem, setup, stated, known)).gain[:FIXED]
+    return whole
+
+
+def _task(problem: Problem, setup: Setup, stated: Mapping[str, float], known: KnownStand | None) -> Task:
+    """The first step from the truth of noise-free readings has the gain of the last one from real readings."""
+    signal = setup.signal[setup.fitted]
+    floor = gls.LEAST_NOISE * float(np.max(np.abs(signal)))
+    reading, setting = max(stated.get("voltmeter_error", 0.0), floor), stated.get("setting_error", 0.0)
+    noise = Noise(reading, setting, np.inf, "given")
+    if known is not None and known.noise is not None:
+        noise = known.noise.given()
+    fit = partial(gls.fit, problem, signal, setup.block, noise)
+    return Task(problem, signal, fit(), lambda shifts: fit(shifts=shifts))
+
+
+@dataclass(frozen=True)
+class Influence:
+    """What one unit of an error does to the signals of n readings.
+
+    `pattern` (n, 3) is in V per unit of the error; entries with the same number in `group` (n, 3), counted
+    from 0 to `draws` - 1, share one draw of it.
+    """
+
+    pattern: Floats
+    group: Ints
+    draws: int
+
+    @classmethod
+    def of(cls, pattern: Floats, group: Ints) -> Influence:
+        """Build from a pattern (n, 3) and labels that broadcast to it: equal labels share a draw."""
+        labels, numbers = np.unique(np.broadcast_to(group, pattern.shape), return_inverse=True)
+        return cls(pattern, numbers.reshape(pattern.shape), len(labels))
+
+    def through(self, functionals: Floats) -> Floats:
+        """Return what each draw, one unit large, adds to m linear functionals (m, n, 3) of the readings.
+
+        Shape (m, draws).
+        """
+        m = len(functionals)
+        flat: Floats = (functionals * self.pattern).reshape(m, -1)
+        group = self.group.ravel()
+        if self.draws == flat.shape[1] and np.array_equal(group, np.arange(self.draws)):
+            return flat
+        shared = np.zeros((flat.shape[1], self.draws))
+        shared[np.arange(len(group)), group] = 1.0
+        return flat @ shared
+
+    def on_readings(self, drawn: Floats) -> Floats:
+        """Return the errors (…, n, 3) of the readings for drawn errors (…, draws)."""
+        return drawn[..., self.group] * self.pattern
+
+
+class AnyReadings(Protocol):
+    """What an error needs to know of n readings."""
+
+    @property
+    def signal(self) -> Floats:
+        """The signals, V, shape (n, 3)."""
+
+    @property
+    def force(self) -> Floats:
+        """The specific forces on the block, g, shape (n, 3)."""
+
+    @property
+    def setting_slope(self) -> Floats:
+        """du/dphi, V/rad, shape (n, 3)."""
+
+    @property
+    def orientation(self) -> Ints:
+        """A number for each reading, shape (n,): the same where the specific force is the same."""
+
+    @property
+    def conditions(self) -> Conditions:
+        """Where, when and how warm each reading is."""
+
+    @property
+    def block(self) -> Block:
+        """The block that they are of."""
+
+    @property
+    def meters(self) -> tuple[int, int, int]:
+        """The number of the voltmeter of x, y and z."""
+
+
+_Patterns = Sequence[tuple[Floats, Ints]]
+"""What a unit of a source does to the signals, V (n, 3), and what shares a draw of it, as `Influence.of`."""
+
+_SAME_ANGLE_RAD: Final = math.radians(0.05)
+"""Settings no further apart than this have the error of one angle of the head."""
+
+_EVERYTHING: Final = np.zeros((1, 1), dtype=np.int64)
+
+
+def influences(source: ErrorSource, setup: AnyReadings) -> tuple[Influence, ...]:
+    """Return how a unit of the source acts on readings; parts of it are independent.
+
+    Those of the stand and of effects act on a `Setup` alone: on readings that were taken a fit has them.
+    """
+    if isinstance(setup, Setup) and source.effect is not None:
+        column = setup.effect_problem.effects.index(source.effect)
+        patterns: _Patterns = [(setup.effect_columns[:, :, column], _EVERYTHING)]
+    elif isinstance(setup, Setup) and (source.name in STAND_ANGLES or source.angles):
+        mount = setup.conditions.mount[:, None]
+        patterns = [(setup.stand_slope(name), mount) for name in source.angles or (source.name,)]
+    elif isinstance(setup, Setup) and source.name == FOUNDATION:
+        tilts = tilt_patterns(setup.conditions, setup.block, setup.setting_slope, setup.model.installations)
+        patterns = [(tilt, _EVERYTHING) for tilt in tilts]
+    else:
+        patterns = _PATTERNS[source.kind](source, setup)
+    return tuple(Influence.of(pattern, group) for pattern, group in patterns)
+
+
+def _linearity(source: ErrorSource, setup: AnyReadings) -> _Patterns:
+    # the same voltage gives the same error: repeats do not average it; channels have voltages of their own
+    return [(np.ones_like(setup.signal) * source.on_channels, 3 * setup.orientation[:, None] + np.arange(3))]
+
+
+def _same_angle(setup: AnyReadings) -> Ints:
+    """Return a number for each reading, shape (n,): the same where the head stands at one angle of its scale."""
+    angle_rad = np.mod(setup.conditions.angle_rad + _SAME_ANGLE_RAD, math.tau)
+    order = np.argsort(angle_rad, kind="stable")
+    numbers = np.empty(len(order), dtype=np.int64)
+    numbers[order] = np.concatenate([[0], np.cumsum(np.diff(angle_rad[order]) > _SAME_ANGLE_RAD)])
+    return numbers
+
+
+def _temperature(source: ErrorSource, seen: AnyReadings) -> _Patterns:
+    return _off_and_known(source, seen, seen.conditions.warmth_k)
+
+
+def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
+    rail, above_v = int((source.factors or {})["rail"]) - 1, seen.conditions.above_nominal_v
+    return _off_and_known(
+        source, seen, above_v[:, rail] if rail < above_v.shape[1] else np.zeros(len(above_v))
+    )
+
+
+def _off_and_known(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> _Patterns:
+    """Return what is off within the limits and nobody knows, and the course that was `recorded` (n,)."""
+    courses = list(_unknown(seen.conditions.elapsed_s, source.correlation_s).T)
+    known = recorded - recorded.mean()
+    if source.u > 0 and np.any(known):
+        courses.append(known / source.u)
+    return [pattern for course in courses for pattern in _warmed(source, seen, course)]
+
+
+def _turn_on(source: ErrorSource, seen: AnyReadings) -> _Patterns:
+    # all of a run alike: another switching-on of the block moves each bias by as much
+    return [
+        (
+            np.broadcast_to(np.diag(seen.block.K) * source.on_channels, seen.signal.shape),
+            np.arange(3)[None, :],
+        )
+    ]
+
+
+def _warmed(source: ErrorSource, seen: AnyReadings, course: Floats) -> _Patterns:
+    # the coefficients' signs are not known, so that bias and scale of each channel move on their own
+    factors = source.factors or {}
+    group = np.arange(3)[None, :]
+    sensed = seen.force @ seen.block.K.T
+    sensed = sensed * source.on_channels
+    bias = np.broadcast_to(np.diag(seen.block.K) * source.on_channels, sensed.shape)
+    return [(factors[of] * acts * course[:, None], group) for of, acts in (("bias", bias), ("scale", sensed))]
+
+
+HARDLY_ANY: Final = 1e-3
+"""Shapes of a course that are this part of it together with others are left out."""
+
+
+def _unknown(time_s: Floats, correlation_s: float) -> Floats:
+    """Return the shapes (n, q) of a stationary process of unit variance; one shape where it is an offset.
+
+    Limits alone say nothing of a course within them, and passes average no offset (GUM, 4.3.7).
+    """
+    if math.isinf(correlation_s):
+        return np.ones((len(time_s), 1))
+    apart = np.abs(time_s[:, None] - time_s)
+    size, shapes = np.linalg.eigh(np.exp(-apart / correlation_s))
+    kept = size > HARDLY_ANY * size.sum()
+    return np.asarray(shapes[:, kept] * np.sqrt(size[kept]))
+
+
+def _power(exponent: int) -> Callable[[ErrorSource, AnyReadings], _Patterns]:
+    def act(source: ErrorSource, setup: AnyReadings) -> _Patterns:
+        factor = np.diag(setup.block.K) * source.on_channels
+        return [(factor * setup.force**exponent, np.arange(3)[None, :])]
+
+    return act
+
+
+_PATTERNS: Final[Mapping[str, Callable[[ErrorSource, AnyReadings], _Patterns]]] = {
+    "voltmeter_error": lambda own, s: [
+        (np.ones_like(s.signal) * own.on_channels, np.arange(s.signal.size).reshape(-1, 3))
+    ],
+    "setting_error": lambda _, s: [(s.setting_slope, np.arange(len(s.conditions))[:, None])],
+    "voltmeter_gain": lambda own, s: [(s.signal * own.on_channels, np.array(s.meters)[None, :])],
+    "voltmeter_offset": lambda own, s: [
+        (np.ones_like(s.signal) * own.on_channels, np.array(s.meters)[None, :])
+    ],
+    "head_table": lambda _, s: [(s.setting_slope, _same_angle(s)[:, None])],
+    "voltmeter_linearity": _linearity,
+    "gravity": lambda _, s: [(s.force @ s.block.K.T, _EVERYTHING)],
+    "temperature": _temperature,
+    "thermometer": lambda own, s: _warmed(own, s, np.ones(len(s.signal))),
+    "supply_voltage": _supply,
+    "turn_on": _turn_on,
+    "K2": _power(2),
+    "K3": _power(3),
+}
 
 
 @dataclass(frozen=True)
@@ -97,12 +500,17 @@ def make_budget(
     the sources; `known` is what was learned in their place.
     Raises `CalibrationError` when the readings do not determine the coefficients.
     """
-    gain = gain_of(estimator, setup, sizes_by_name(sources) if stated is None else stated, known)
+    gain = estimator_map(estimator, setup, sizes_by_name(sources) if stated is None else stated, known)
     contributions = tuple(Contribution(source, parts_of(source, setup, gain)) for source in sources)
     return Budget(estimator, setup, gain, contributions, probability)
 
 
-def parts_of(source: ErrorSource, setup: Seen, functionals: Floats) -> Floats:
+def sizes_by_name(sources: Iterable[ErrorSource]) -> dict[str, float]:
+    """Return the standard uncertainties of the stand's sources by name, as an estimator is told them."""
+    return {source.name: source.u for source in sources if source.name in STAND_ERRORS}
+
+
+def parts_of(source: ErrorSource, setup: AnyReadings, functionals: Floats) -> Floats:
     """Return what each draw of a source, one u large, adds to linear functionals (m, n, 3), shape (m, q)."""
     parts = [influence.through(functionals) for influence in influences(source, setup)]
     return source.acting(np.concatenate(parts, axis=1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -12,9 +12,9 @@ import numpy as np
 
 from bench.base.arrays import CHANNELS
 from bench.base.text import exact_duration
+from bench.calibration.budget.coefficients import Setup
 from bench.calibration.budget.error_source import Common, ErrorSource, foundation_of, learned_sources
 from bench.calibration.budget.meters import KnownMeters, Size, linearity_of, size_of, thermometer_size
-from bench.calibration.budget.setup import Setup
 from bench.calibration.design import SYMBOLS, WEAK
 from bench.calibration.known import KnownStand
 from bench.config.bench_file.file import STAND_ERRORS, BenchFile
@@ -353,8 +353,3 @@ def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
             effect=unknown,
             written_in=(parameter.unit, parameter.si_per_unit),
         )
-
-
-def sizes_by_name(sources: Iterable[ErrorSource]) -> dict[str, float]:
-    """Return the standard uncertainties of the stand's sources by name, as an estimator is told them."""
-    return {source.name: source.u for source in sources if source.name in STAND_ERRORS}

@@ -15,11 +15,10 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, Floats, Ints, Mask
-from bench.calibration.budget.coefficients import parts_of
+from bench.calibration.budget.coefficients import meters_of, parts_of
 from bench.calibration.budget.error_source import NAME, ErrorSource, Foundation, foundation_of
 from bench.calibration.budget.meters import KnownMeters
 from bench.calibration.budget.propagation import effective_dof
-from bench.calibration.budget.setup import meters_of
 from bench.calibration.budget.sources import ROLL_ORIGIN, assumed_stand, hidden_sources
 from bench.calibration.components import walk_since
 from bench.calibration.result import Calibration, SourceOfError

@@ -12,8 +12,7 @@ import numpy as np
 from bench.base.arrays import CHANNELS, Floats, HasCovariance, rms, u_of
 from bench.base.numbers import finite_or_none
 from bench.calibration import gls
-from bench.calibration.budget.coefficients import parts_of
-from bench.calibration.budget.setup import meters_of
+from bench.calibration.budget.coefficients import meters_of, parts_of
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import GRAVITY, VOLTS, Taken
 from bench.calibration.calibrate import first_guess, usable_rows

@@ -17,9 +17,8 @@ from bench.base.arrays import Floats, Ints
 from bench.calibration.design import FIXED
 from bench.calibration.noise import LEAST_REPEATS
 from bench.model import Mounting
-from bench.planning.optimal_design import ExchangeDesign, Goal, SettingPool, widening
+from bench.planning.optimal_design import ExchangeDesign, Goal, SettingPool, Stand, whitened, widening
 from bench.planning.settings import conditions_of
-from bench.planning.stand import Stand, whitened
 from bench.planning.until.pool import Site
 
 _DETERMINED: Final = 1e-2

@@ -12,9 +12,8 @@ from bench.base.arrays import Floats
 from bench.calibration.result import CalibrationError
 from bench.config.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Settle, Turn, Wait
 from bench.model.conditions import Mounting
-from bench.planning.optimal_design import Goal
+from bench.planning.optimal_design import WITHOUT_NOISE, Goal, Stand
 from bench.planning.settings import Setting
-from bench.planning.stand import WITHOUT_NOISE, Stand
 from bench.readings.table import UNORIENTED, VERIFICATION
 
 _LEFT_OUT_WITH_IT: Final = (Level, Mount, Wait, Settle)

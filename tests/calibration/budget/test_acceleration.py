@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.calibration import CalibrationError
-from bench.calibration.budget.acceleration import delta_g, directions, magnitudes, measured, over_directions
+from bench.calibration.budget.assessment import delta_g, directions, magnitudes, measured, over_directions
 from bench.calibration.budget.coefficients import make_budget
 from bench.calibration.budget.sources import bench_sources, stand_source
 from bench.config.bench_file.file import load_bench

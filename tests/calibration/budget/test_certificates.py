@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from bench.base.arrays import ARCSEC
-from bench.calibration.budget.coefficients import make_budget
-from bench.calibration.budget.setup import make_setup
+from bench.calibration.budget.coefficients import make_budget, make_setup
 from bench.calibration.budget.sources import bench_sources
 from bench.config.bench_file.file import load_bench, load_recorded_bench
 from bench.config.procedure.load import load_procedure

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm
 
 from bench.calibration import CalibrationError, gls
-from bench.calibration.budget.acceleration import exact_monte_carlo, exact_readings
+from bench.calibration.budget.assessment import exact_monte_carlo, exact_readings
 from bench.calibration.budget.coefficients import make_budget
 from bench.calibration.budget.sources import effect_sources
 from bench.calibration.design import make_problem

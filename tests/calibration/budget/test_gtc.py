@@ -8,7 +8,7 @@ import GTC
 import numpy as np
 import pytest
 
-from bench.calibration.budget.acceleration import measured
+from bench.calibration.budget.assessment import measured
 from bench.calibration.budget.coefficients import make_budget
 from tests.support.budget_bench import ONE_SIGMA, paper_setup, stand
 from tests.support.paper_bench import U0, K

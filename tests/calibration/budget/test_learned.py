@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from bench.calibration import gls
-from bench.calibration.budget.acceleration import exact_readings
-from bench.calibration.budget.coefficients import make_budget
+from bench.calibration.budget.assessment import exact_readings
+from bench.calibration.budget.coefficients import make_budget, make_setup
 from bench.calibration.budget.error_source import MEANS as SHARED
-from bench.calibration.budget.setup import make_setup
 from bench.calibration.budget.sources import assumed_stand, bench_sources
 from bench.calibration.design import make_problem
 from bench.calibration.known import KnownNoise, KnownStand

@@ -8,9 +8,8 @@ import pytest
 import yaml
 
 from bench.calibration import CalibrationError
-from bench.calibration.budget.coefficients import make_budget
+from bench.calibration.budget.coefficients import make_budget, make_setup
 from bench.calibration.budget.propagation import coverage_factor
-from bench.calibration.budget.setup import make_setup
 from bench.calibration.budget.sources import bench_sources, stand_source
 from bench.config.bench_file.file import FileMistakes, load_bench
 from bench.config.devices.registry import devices

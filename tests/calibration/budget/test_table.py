@@ -7,7 +7,7 @@ from this program; the limits are taken as one standard deviation, three passes.
 import numpy as np
 import pytest
 
-from bench.calibration.budget.acceleration import delta_g, over_directions
+from bench.calibration.budget.assessment import delta_g, over_directions
 from bench.calibration.budget.coefficients import make_budget
 from tests.support.budget_bench import ONE_SIGMA, paper_setup, stand
 from tests.support.paper_bench import ARCSEC

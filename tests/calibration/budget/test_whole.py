@@ -8,8 +8,7 @@ import pytest
 from scipy import stats
 
 from bench.calibration import calibrate
-from bench.calibration.budget.coefficients import make_budget
-from bench.calibration.budget.setup import Setup
+from bench.calibration.budget.coefficients import Setup, make_budget
 from bench.calibration.budget.sources import assumed_stand, bench_sources
 from bench.calibration.budget.whole import delta_g_covariance, delta_g_elsewhere, sign
 from bench.calibration.result import Noise
