@@ -64,9 +64,9 @@ def doubled(folder: Path) -> None:
 def measure(write: Callable[[Path], None] | None) -> None:
     from bench.config.bench_file.file import load_bench
     from bench.config.procedure.check import check, disk_needed_bytes, operator_actions
-    from bench.config.procedure.listing import listing
     from bench.config.procedure.load import load_procedure
     from bench.config.shipped import find_bench
+    from bench.results.check import listing
 
     bench = load_bench(find_bench("paper-stand"))
     begun = time.process_time()

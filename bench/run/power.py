@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, Final
 
 from bench.base.text import duration
-from bench.config.bench_file.rails import DriftForm, RailSection, UnitSupplySection
+from bench.config.bench_file.stand import DriftForm, RailSection, UnitSupplySection
 from bench.config.procedure.plan import SWITCHED_ON, Mount, Plan, Power, Read
 from bench.readings.columns import Rail
 from bench.run.events import EventType

@@ -22,7 +22,7 @@ from bench.calibration.mistakes import implausible
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, CalibrationError
 from bench.calibration.signal_units import refuse_mixed_units, sheet_of
 from bench.calibration.temperature.plateaus import separate_temperatures
-from bench.config.prior_file import PriorFile, load_prior
+from bench.config.bench_file.learned import PriorFile, load_prior
 from bench.exchange.result import BlockResult
 from bench.history.equivalence import STANDARD_GRAVITY
 from bench.history.prior import CONFLICT_P, Prior, join

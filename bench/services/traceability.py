@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from bench.config.bench_file.file import BenchFile
-from bench.config.bench_file.traceability import Standing, corrections_of, standings, without
+from bench.config.bench_file.file import BenchFile, Standing, corrections_of, standings, without
 from bench.config.devices.voltmeters import CERTIFICATE, VoltmeterForm
 from bench.readings.corrected import VOLTS, Corrections, corrected
 from bench.readings.table import Readings

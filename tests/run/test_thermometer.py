@@ -10,8 +10,7 @@ import pytest
 
 from bench.base.yaml_files import FileMistakes
 from bench.calibration.budget.meters import thermometer_size
-from bench.config.bench_file.file import load_bench
-from bench.config.bench_file.traceability import corrections_of
+from bench.config.bench_file.file import corrections_of, load_bench
 from bench.config.shipped import find_bench
 from bench.readings.csv import read_csv
 from bench.run.folder import Run

@@ -13,8 +13,7 @@ from bench.base.arrays import ARCSEC
 from bench.calibration import calibrate as estimate
 from bench.calibration.budget.coefficients import make_budget, make_setup
 from bench.calibration.budget.sources import bench_sources
-from bench.config.bench_file.file import load_bench
-from bench.config.bench_file.traceability import corrections_of
+from bench.config.bench_file.file import corrections_of, load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.readings.corrected import corrected

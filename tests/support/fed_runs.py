@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from bench.config.bench_file.rails import UnitSupplySection
+from bench.config.bench_file.stand import UnitSupplySection
 from bench.config.procedure.plan import Plan
 from bench.run.power import Feeding
 from bench.run.record import Record

@@ -16,7 +16,7 @@ from bench.calibration.budget.propagation import effective_dof
 from bench.calibration.known import METERS_DRIFT
 from bench.config.bench_file.file import BenchFile
 from bench.config.devices.certificates import Certificate, CertifiedGain, CertifiedOffset
-from bench.config.devices.unknown import UnknownVoltmeter
+from bench.config.devices.registry import UnknownVoltmeter
 from bench.config.devices.voltmeters import DAYS_90, VoltmeterForm
 from bench.model.geometry import Distribution
 

@@ -1,17 +1,11 @@
-"""Learned files: what many runs told of a bench.
-
-A bench file takes one with `learned: FILE`; `bench learn` writes it.
-It holds for one stand: `learned_for` is the hash of what the bench file says of stand, head, installations and
-meters, and the file is refused where that has changed. Certificates of instruments stand in the bench file and
-are never touched: nothing here is an angle of a certified head's table, or a gain.
-"""
+"""Files that are made of many runs: what they tell of one bench, and of a type of unit."""
 
 from __future__ import annotations
 
 import datetime
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -22,14 +16,16 @@ from pydantic import Field, model_validator
 from bench.base.arrays import ARCSEC, Floats
 from bench.base.files import write_whole
 from bench.base.units import AngleRad, SizeRad
-from bench.base.yaml_files import FileMistake, FileMistakes, FileModel, load_validated
+from bench.base.yaml_files import FileMistake, FileMistakes, FileModel, Place, load_validated, part
 from bench.config.devices.certificates import Day
 from bench.config.formulas import FormulaEntry
 from bench.config.model_file import EffectEntry, WithEffects, written_effects
 from bench.model import AppliedEffect
+from bench.model.geometry import COEFFICIENTS
 
 if TYPE_CHECKING:
     from bench.config.bench_file.file import BenchFile
+
 
 FORMAT: Final = "1"
 AngleName = Literal["axis_tilt", "zero_offset", "mounting_error", "mounting_offset", "mounting_roll"]
@@ -208,3 +204,59 @@ def write_learned(path: Path, content: Mapping[str, Any], effects: Sequence[Appl
 def arcsec(angle_rad: float) -> str:
     """Return an angle as a learned file states it."""
     return f"{angle_rad / ARCSEC!r} arcsec"
+
+
+Row = Annotated[tuple[float, ...], Field(min_length=len(COEFFICIENTS), max_length=len(COEFFICIENTS))]
+
+
+class PriorCoefficient(FileModel):
+    """One coefficient of a further unit: its mean, u, what units differ by, and the u of the mean."""
+
+    mean: float
+    u: Annotated[float, Field(gt=0)]
+    between_units: Annotated[float, Field(ge=0)]
+    u_mean: Annotated[float, Field(ge=0)]
+
+
+class PriorFile(FileModel):
+    """A prior file, validated. Scale factors are per g of `per_g_m_s2`, in the unit of the signal."""
+
+    type: str
+    signal: str
+    per_g_m_s2: Annotated[float, Field(gt=0)]
+    simulated: bool
+    units: Annotated[tuple[str, ...], Field(min_length=1)]
+    benches: Annotated[tuple[str, ...], Field(min_length=1)]
+    calibrations: Annotated[int, Field(gt=0)]
+    last: str
+    dof: Annotated[int, Field(gt=0)]
+    shrunk: Annotated[float, Field(ge=0, le=1)]
+    coefficients: dict[str, PriorCoefficient]
+    covariance: Annotated[tuple[Row, ...], Field(min_length=len(COEFFICIENTS), max_length=len(COEFFICIENTS))]
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
+        """Yield coefficients that are missing or none, and a covariance that is none."""
+        named = part(data, "coefficients")
+        if isinstance(named, dict):
+            missing = [name for name in COEFFICIENTS if name not in named]
+            if missing or len(named) > len(COEFFICIENTS):
+                yield ("coefficients",), f"expected {', '.join(COEFFICIENTS)}, each once"
+        try:
+            matrix = np.array(part(data, "covariance"), dtype=float)
+            size = np.sqrt(np.diag(matrix))
+            usable = bool(np.all(size > 0)) and np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0)
+            usable = usable and bool(np.linalg.eigvalsh(matrix / np.outer(size, size))[0] > 0)
+        except (TypeError, ValueError):
+            return  # its form is told
+        if not usable:
+            yield (
+                ("covariance",),
+                "is no covariance: not symmetric, or not positive; take the file as it was written",
+            )
+
+
+def load_prior(path: Path) -> PriorFile:
+    """Read a prior file. Raises `FileMistakes` with every mistake in it."""
+    return load_validated(path, PriorFile)

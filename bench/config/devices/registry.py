@@ -23,13 +23,32 @@ from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any, Final, Literal, Union, get_args
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, create_model
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationInfo,
+    create_model,
+    field_validator,
+)
 
+from bench.base.units import SizeRad
 from bench.config.devices import FOLDERS
+from bench.config.devices.certificates import VoltmeterCertificate
 from bench.config.devices.device import WIRE_FACTS, Device, DeviceSection, Role, WiredForm
-from bench.config.devices.sections import SUPPLY_FACTS, SupplyForm
-from bench.config.devices.unknown import OF_ROLE
-from bench.config.devices.voltmeters import VOLTMETER_FACTS, VoltmeterForm
+from bench.config.devices.sections import (
+    SUPPLY_FACTS,
+    ChamberForm,
+    HeadForm,
+    LevelForm,
+    SizeK,
+    SupplyForm,
+    ThermometerForm,
+)
+from bench.config.devices.voltmeters import VOLTMETER_FACTS, VoltmeterForm, VoltmeterKind
+from drivers.interfaces import BenchError, Channel, SupplyLimits
 
 GROUP: Final = "triaxial_bench.devices"
 
@@ -242,3 +261,103 @@ def _refuse_driver(written: dict[str, Any], reason: str | None, names: tuple[str
     kind: Any = Literal[names] if reason is None else Annotated[str, AfterValidator(refuse)]
     fields: dict[str, Any] = {"driver": (kind, ...)}
     create_model("Named", __config__=ConfigDict(extra="ignore"), **fields).model_validate(written)
+
+
+KEPT: Final = ConfigDict(extra="allow")
+
+
+class UnknownVoltmeter(VoltmeterForm):
+    """A voltmeter of which only the signals that it carried and their range are known."""
+
+    model_config = KEPT
+
+    resource: str = ""
+    stated_channels: tuple[Channel, ...] = Field((), alias="channels")
+    inputs: Any = None
+
+    @field_validator("range")
+    @classmethod
+    def _of_the_meter(cls, range_v: float, info: ValidationInfo) -> float:
+        return range_v
+
+    @field_validator("certificate")
+    @classmethod
+    def _of_its_ranges(cls, certificate: VoltmeterCertificate | None) -> VoltmeterCertificate | None:
+        return certificate
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The signals, in the order of the inputs where these are numbers."""
+        if isinstance(self.inputs, dict):
+            return tuple(sorted(self.inputs, key=lambda signal: _number(self.inputs[signal])))
+        return self.stated_channels
+
+    @property
+    def kind(self) -> VoltmeterKind:
+        """Raise `BenchError`: what it can do and how exact it is, nobody here knows."""
+        raise BenchError(
+            self.name,
+            f"the driver '{self.driver}' is not here, so nobody knows how exact its voltmeters are",
+            "name the folder it is in with --devices or BENCH_DEVICES, or install its distribution",
+        )
+
+
+class UnknownHead(HeadForm):
+    """A head of which nothing is known."""
+
+    model_config = KEPT
+
+    tolerance: SizeRad = 0.0
+
+
+class UnknownChamber(ChamberForm):
+    """A chamber of which the temperatures that could be demanded are known, and the band where it was stated."""
+
+    model_config = KEPT
+
+    band: SizeK | None = None
+
+
+class UnknownLevel(LevelForm):
+    """A level of which nothing is known."""
+
+    model_config = KEPT
+
+
+class UnknownThermometer(ThermometerForm):
+    """A thermometer of which its certificate is known, if it has one."""
+
+    model_config = KEPT
+
+    @property
+    def tolerance_k(self) -> float:
+        """Nobody here knows; as of a plain one."""
+        return 0.5
+
+
+class UnknownSupply(SupplyForm):
+    """A power supply of which nothing is known."""
+
+    model_config = KEPT
+
+    @property
+    def limits(self) -> SupplyLimits | None:
+        """Return None: what it can do, nobody here knows."""
+        return None
+
+
+OF_ROLE: Final[dict[Role, type[DeviceSection]]] = {
+    "voltmeter": UnknownVoltmeter,
+    "head": UnknownHead,
+    "chamber": UnknownChamber,
+    "level": UnknownLevel,
+    "thermometer": UnknownThermometer,
+    "power_supply": UnknownSupply,
+}
+
+
+def _number(text: object) -> float:
+    try:
+        return float(str(text))
+    except ValueError:
+        return 0.0

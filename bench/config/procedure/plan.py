@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Final
 
-from bench.config.bench_file.rails import UnitSupplySection
+from bench.config.bench_file.stand import UnitSupplySection
 from bench.config.procedure.steps import (
     SETTLING,
     Ask,

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import InstrumentForm, InstrumentsSection
 from bench.config.devices.device import WiredForm, is_serial
-from bench.config.devices.keysight_34970a_thermometer import Keysight34970AThermometerSection
+from bench.config.devices.keysight_34970a import Keysight34970AThermometerSection
 from bench.config.devices.registry import devices
 from bench.config.devices.sections import (
     ControlledChamberForm,

@@ -7,8 +7,7 @@ import pytest
 import yaml
 
 from bench.base.yaml_files import FileMistakes
-from bench.config.bench_file.file import load_bench
-from bench.config.bench_file.traceability import corrections_of, standings, without
+from bench.config.bench_file.file import corrections_of, load_bench, standings, without
 from bench.config.shipped import find_bench
 from tests.support.certified_bench import certified, meter_certificate, table_certificate, write_bench
 from tests.support.pages import DOCS, blocks

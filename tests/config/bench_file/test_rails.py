@@ -8,7 +8,7 @@ import yaml
 
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
-from bench.config.bench_file.rails import DriftForm, UnitSupplySection
+from bench.config.bench_file.stand import DriftForm, UnitSupplySection
 from bench.config.shipped import find_bench
 from tests.support.fed_bench import FEED, MANUAL, N15, P15, fed_bench, write_fed
 from tests.support.pages import DOCS, blocks

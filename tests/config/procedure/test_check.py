@@ -14,11 +14,11 @@ from bench.calibration.assumptions import require_rank
 from bench.cli.app import main
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.check import disk_needed_bytes, operator_actions, undetermined
-from bench.config.procedure.listing import listing
 from bench.config.procedure.load import load_procedure
 from bench.config.procedure.plan import Mount, Plan, Read, Turn, Wait
 from bench.config.shipped import find_bench, find_procedure
 from bench.model import ForwardModel
+from bench.results.check import listing
 from bench.run.assembly.served import dry_bench
 from bench.services import until as command
 from drivers.facts import agilent_34401a as facts

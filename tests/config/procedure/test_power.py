@@ -8,10 +8,10 @@ import pytest
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.check import check, switched_before
-from bench.config.procedure.listing import listing
 from bench.config.procedure.load import load_procedure
 from bench.config.procedure.plan import Mount, Plan, Power, Read, Turn
 from bench.config.shipped import find_bench, find_procedure
+from bench.results.check import listing
 from tests.support.fed_bench import fed_bench
 
 CYCLES = """\
