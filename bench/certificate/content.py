@@ -25,7 +25,7 @@ from bench.calibration.conformity import (
 from bench.calibration.verification import by_rule
 from bench.certificate.laboratory import Laboratory, Order, Person, UnitOrder
 from bench.certificate.texts import Texts
-from bench.config.devices.certificates import Certificate as Held
+from bench.config.devices.device import Certificate as Held
 from bench.services.calibration import CalibrationResult
 from bench.services.verification import VerificationResult
 

@@ -21,7 +21,7 @@ from bench.base.yaml_files import (
 )
 from bench.certificate.texts import LANGUAGES, texts_of
 from bench.config.bench_file.stand import StatedRule
-from bench.config.devices.certificates import Day
+from bench.config.devices.device import Day
 
 SIMULATED_SERIES: Final = "SIM-"
 """What the numbers of simulated runs begin with, and those of no others."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from bench.config.bench_file.file import BenchFile, Standing, corrections_of, standings, without
-from bench.config.devices.voltmeters import CERTIFICATE, VoltmeterForm
+from bench.config.devices.sections import CERTIFICATE, VoltmeterForm
 from bench.readings.corrected import VOLTS, Corrections, corrected
 from bench.readings.table import Readings
 from bench.results.parts import CorrectionPart

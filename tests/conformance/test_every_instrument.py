@@ -16,8 +16,14 @@ import yaml
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
 from bench.config.devices.registry import devices
-from bench.config.devices.sections import ChamberTruth, HeadTruth, LevelTruth, SupplyTruth, ThermometerTruth
-from bench.config.devices.voltmeters import VoltmeterTruth
+from bench.config.devices.sections import (
+    ChamberTruth,
+    HeadTruth,
+    LevelTruth,
+    SupplyTruth,
+    ThermometerTruth,
+    VoltmeterTruth,
+)
 from bench.model import ForwardModel
 from bench.run.assembly.served import served_bench
 from bench.run.folder import Run

@@ -15,9 +15,9 @@ from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.calibration.budget.propagation import effective_dof
 from bench.calibration.known import METERS_DRIFT
 from bench.config.bench_file.file import BenchFile
-from bench.config.devices.certificates import Certificate, CertifiedGain, CertifiedOffset
+from bench.config.devices.device import Certificate, CertifiedGain, CertifiedOffset
 from bench.config.devices.registry import UnknownVoltmeter
-from bench.config.devices.voltmeters import DAYS_90, VoltmeterForm
+from bench.config.devices.sections import DAYS_90, VoltmeterForm
 from bench.model.geometry import Distribution
 
 Quantity = Literal["voltmeter_gain", "voltmeter_offset"]

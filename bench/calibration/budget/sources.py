@@ -19,7 +19,7 @@ from bench.calibration.design import SYMBOLS, WEAK
 from bench.calibration.known import KnownStand
 from bench.config.bench_file.file import STAND_ERRORS, BenchFile
 from bench.config.bench_file.stand import ErrorSize, Location, MeasuredGravity
-from bench.config.devices.voltmeters import VoltmeterForm
+from bench.config.devices.sections import VoltmeterForm
 from bench.model import STAND_ANGLES, Distribution, ForwardModel
 
 ANOMALY_M_S2: Final = 5e-4

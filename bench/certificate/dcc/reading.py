@@ -22,7 +22,7 @@ from bench.base.text import visible
 from bench.certificate.dcc.lists import Dimension, NotRead, RealList, real_lists
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, Node
 from bench.certificate.dcc.rules import parser
-from bench.config.devices.certificates import ChamberCertificate, HeadCertificate
+from bench.config.devices.device import ChamberCertificate, HeadCertificate
 from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import coefficients_of
 from bench.services.errors import Refused

@@ -22,8 +22,7 @@ from bench.base.yaml_files import Place, part, unknown_word
 from bench.config.bench_file.sections import InstrumentsSection
 from bench.config.devices.device import Role, bus_place
 from bench.config.devices.registry import devices
-from bench.config.devices.sections import SupplyForm
-from bench.config.devices.voltmeters import CERTIFICATE, VoltmeterForm, written_channels
+from bench.config.devices.sections import CERTIFICATE, SupplyForm, VoltmeterForm, written_channels
 from bench.readings.table import UNORIENTED
 from drivers.interfaces import OutputSettings, SupplyLimits
 

@@ -42,10 +42,9 @@ from bench.config.bench_file.stand import (
     UnitUnderTest,
     VerificationSection,
 )
-from bench.config.devices.certificates import Certificate, ChamberCertificate, HeadCertificate
+from bench.config.devices.device import Certificate, ChamberCertificate, HeadCertificate
 from bench.config.devices.registry import UnknownVoltmeter, devices, unknown_drivers
-from bench.config.devices.sections import MotorisedHeadForm
-from bench.config.devices.voltmeters import VoltmeterForm
+from bench.config.devices.sections import MotorisedHeadForm, VoltmeterForm
 from bench.config.formulas import FormulaEntry
 from bench.config.model_file import EffectEntry, mistakes_with_formulas
 from bench.model import CATALOGUE, STAND_ANGLES, AppliedEffect, Block, Distribution, Effect, Installation

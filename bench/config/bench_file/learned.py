@@ -17,7 +17,7 @@ from bench.base.arrays import ARCSEC, Floats
 from bench.base.files import write_whole
 from bench.base.units import AngleRad, SizeRad
 from bench.base.yaml_files import FileMistake, FileMistakes, FileModel, Place, load_validated, part
-from bench.config.devices.certificates import Day
+from bench.config.devices.device import Day
 from bench.config.formulas import FormulaEntry
 from bench.config.model_file import EffectEntry, WithEffects, written_effects
 from bench.model import AppliedEffect

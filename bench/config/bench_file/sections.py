@@ -20,8 +20,7 @@ from bench.base.units import (
     parse_quantity,
 )
 from bench.base.yaml_files import FileModel
-from bench.config.devices.certificates import Day
-from bench.config.devices.device import WiredForm
+from bench.config.devices.device import Day, WiredForm
 from bench.config.devices.registry import chosen_by_driver
 from bench.config.devices.sections import (
     ChamberForm,
@@ -34,8 +33,9 @@ from bench.config.devices.sections import (
     SupplyTruth,
     ThermometerForm,
     ThermometerTruth,
+    VoltmeterForm,
+    VoltmeterTruth,
 )
-from bench.config.devices.voltmeters import VoltmeterForm, VoltmeterTruth
 from bench.model.geometry import COEFFICIENTS
 
 InstrumentForm = VoltmeterForm | HeadForm | ChamberForm | LevelForm | ThermometerForm | SupplyForm

@@ -34,7 +34,7 @@ from bench.base.units import (
     not_negative,
 )
 from bench.base.yaml_files import FileModel
-from bench.config.devices.certificates import Day
+from bench.config.devices.device import Day
 from bench.config.devices.sections import SizeK, TemperatureRange
 from bench.model.geometry import Distribution, Installation, normal_gravity_m_s2
 from drivers.interfaces import OutputSettings

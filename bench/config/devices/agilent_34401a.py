@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 from bench.config.devices.device import Device
-from bench.config.devices.voltmeters import OneChannelForm, SerialPortForm
+from bench.config.devices.sections import OneChannelForm, SerialPortForm
 from drivers.facts import agilent_34401a as agilent
 
 

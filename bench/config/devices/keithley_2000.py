@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal
 from pydantic import field_validator, model_validator
 
 from bench.config.devices.device import Device, Port, PortSection, is_serial, usual_baud_rate
-from bench.config.devices.voltmeters import OneChannelForm, VoltmeterTruth
+from bench.config.devices.sections import OneChannelForm, VoltmeterTruth
 from drivers.facts import keithley_2000 as keithley
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 from bench.config.devices.device import Device
-from bench.config.devices.voltmeters import OneChannelForm
+from bench.config.devices.sections import OneChannelForm
 from drivers.facts import keysight_34461a as truevolt
 
 

@@ -8,8 +8,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from bench.base.units import DurationS
 from bench.config.devices.device import Device, PortSection, WiredForm, any_resource
-from bench.config.devices.sections import ThermometerForm, ThermometerTruth
-from bench.config.devices.voltmeters import SerialPortForm, VoltmeterTruth
+from bench.config.devices.sections import SerialPortForm, ThermometerForm, ThermometerTruth, VoltmeterTruth
 from drivers.facts import keysight_34970a as multiplexer
 from drivers.facts.keysight_34970a import PAIRED, SENSORS
 from drivers.interfaces import Channel

@@ -7,8 +7,7 @@ from typing import Any, ClassVar, Literal
 from pydantic import field_validator
 
 from bench.config.devices.device import Device, usual_baud_rate
-from bench.config.devices.sections import OF_THE_UNIT, SupplyTruth, WiredSupplyForm
-from bench.config.devices.voltmeters import SerialSection
+from bench.config.devices.sections import OF_THE_UNIT, SerialSection, SupplyTruth, WiredSupplyForm
 from drivers.facts import keysight_e3631a as keysight
 
 

@@ -36,18 +36,26 @@ from pydantic import (
 
 from bench.base.units import SizeRad
 from bench.config.devices import FOLDERS
-from bench.config.devices.certificates import VoltmeterCertificate
-from bench.config.devices.device import WIRE_FACTS, Device, DeviceSection, Role, WiredForm
+from bench.config.devices.device import (
+    WIRE_FACTS,
+    Device,
+    DeviceSection,
+    Role,
+    VoltmeterCertificate,
+    WiredForm,
+)
 from bench.config.devices.sections import (
     SUPPLY_FACTS,
+    VOLTMETER_FACTS,
     ChamberForm,
     HeadForm,
     LevelForm,
     SizeK,
     SupplyForm,
     ThermometerForm,
+    VoltmeterForm,
+    VoltmeterKind,
 )
-from bench.config.devices.voltmeters import VOLTMETER_FACTS, VoltmeterForm, VoltmeterKind
 from drivers.interfaces import BenchError, Channel, SupplyLimits
 
 GROUP: Final = "triaxial_bench.devices"
@@ -121,6 +129,13 @@ class Devices:
 def devices() -> Devices:
     """Return the instruments there are, for the folders that the environment names now."""
     return _loaded(tuple(folder for folder in os.environ.get(FOLDERS, "").split(os.pathsep) if folder))
+
+
+def _sections_of(role: Role) -> list[type[DeviceSection]]:
+    return [device.section for device in devices().of(role)]
+
+
+DeviceSection.sections_of = staticmethod(_sections_of)
 
 
 @lru_cache(maxsize=8)

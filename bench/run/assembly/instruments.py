@@ -16,9 +16,9 @@ from bench.config.devices.sections import (
     LevelForm,
     MotorisedHeadForm,
     ThermometerForm,
+    VoltmeterForm,
     WiredSupplyForm,
 )
-from bench.config.devices.voltmeters import VoltmeterForm
 from bench.model.forward import ForwardModel
 from bench.run.instruments import Instruments
 from drivers.chambers import ChamberLimits

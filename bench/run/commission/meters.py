@@ -11,7 +11,7 @@ from typing import Final, Protocol, runtime_checkable
 import numpy as np
 
 from bench.base.numbers import scale_for
-from bench.config.devices.voltmeters import VoltmeterForm
+from bench.config.devices.sections import VoltmeterForm
 from bench.run.commission.session import Evening, Figure, Finding, State
 from bench.run.workbench import QUICK_NPLC
 from drivers.interfaces import Channel, Voltmeter, VoltmeterSettings

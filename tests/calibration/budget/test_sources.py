@@ -13,7 +13,7 @@ from bench.calibration.budget.propagation import coverage_factor
 from bench.calibration.budget.sources import bench_sources, stand_source
 from bench.config.bench_file.file import FileMistakes, load_bench
 from bench.config.devices.registry import devices
-from bench.config.devices.voltmeters import VoltmeterKind
+from bench.config.devices.sections import VoltmeterKind
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.model import CATALOGUE, AppliedEffect, Distribution

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from bench.certificate.dcc.document import document_of
-from bench.config.devices.certificates import HeadCertificate
+from bench.config.devices.device import HeadCertificate
 from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import coefficients_of
 from tests.support.schemas import keeps_to

@@ -23,7 +23,7 @@ from typing import ClassVar, Literal
 from types import ModuleType
 
 from bench.config.devices.device import Device
-from bench.config.devices.voltmeters import OneChannelForm
+from bench.config.devices.sections import OneChannelForm
 from drivers.facts import agilent_34401a as like_it
 
 

@@ -10,7 +10,7 @@ from bench.base.arrays import ARCSEC
 from bench.base.yaml_files import FileMistakes, sha256_of_file
 from bench.config.bench_file.file import STAND_ERRORS, load_bench
 from bench.config.devices.registry import devices
-from bench.config.devices.voltmeters import VoltmeterKind
+from bench.config.devices.sections import VoltmeterKind
 from bench.config.shipped import find_bench
 
 
