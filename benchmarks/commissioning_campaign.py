@@ -38,8 +38,8 @@ from bench.run.commission.course import CABLE
 from bench.services.instruments import PAGE, Setting, commission
 from benchmarks.fault_trials import ROOT, exact
 from drivers.interfaces import BenchError
-from sim.bench import OF_INSTRUMENT, SimulatedBench
-from sim.wires.faults import Fault, FaultKind
+from sim.bench import SimulatedBench
+from sim.wires.faults import OF_INSTRUMENT, Fault, FaultKind
 from sim.world.pose import HeadFault
 
 TIMEOUT_S: Final = 0.5

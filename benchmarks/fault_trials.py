@@ -20,8 +20,8 @@ from bench.cli.app import main as bench_command
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.model import Conditions, ForwardModel, stand_errors
 from bench.run.folder import Run
-from sim.bench import OF_INSTRUMENT, SimulatedBench
-from sim.wires.faults import Fault, FaultKind, FaultyInstrument
+from sim.bench import SimulatedBench
+from sim.wires.faults import OF_INSTRUMENT, Fault, FaultKind, FaultyInstrument
 from sim.wires.session import ServedInstrument, WireFault
 
 ROOT = Path(__file__).resolve().parents[1]

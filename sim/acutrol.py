@@ -10,6 +10,8 @@ import math
 import re
 from typing import TYPE_CHECKING, Final
 
+from sim.wires.session import PlainDialect
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -32,7 +34,7 @@ class _Refused(Exception):
     """A command that is answered with ERR."""
 
 
-class AcutrolTable:
+class AcutrolTable(PlainDialect):
     """One axis. The interlock must be closed before it takes a mode, and its position mode moves it at once.
 
     `speed_deg_s` is the rate limit of the position mode; a demand that was sent before holds when the mode
@@ -59,12 +61,6 @@ class AcutrolTable:
                 answer = "ERR"
                 break
         return f"{_PREFIX}{answer}".encode("ascii")
-
-    def device_clear(self) -> None:
-        """The controller knows none."""
-
-    def input_overflow(self) -> None:
-        """A line that is too long is not answered."""
 
     def power_cycle(self) -> None:
         """Switch off and on, or press the emergency stop: the interlock opens and the table stands."""

@@ -13,7 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from drivers.facts import agilent_34401a as facts
-from sim.scpi import Command, number_lines, switch_lines
+from sim.scpi import Command, Interface, number_lines, switch_lines
 from sim.scpi_values import (
     DEF,
     DEVICE_ERROR,
@@ -40,7 +40,6 @@ from sim.voltmeters import (
     Converter,
     Function,
     FunctionSettings,
-    Interface,
     LineMeter,
     MeasuringCycle,
     MeteredSignal,

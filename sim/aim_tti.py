@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from drivers.facts import aim_tti as facts
 from sim.supply import Outputs
-from sim.wires.session import LineEnds
+from sim.wires.session import LineEnds, PlainDialect
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -69,7 +69,7 @@ class _Told:
         return self.number == 1.0
 
 
-class AimTti:
+class AimTti(PlainDialect):
     """The supply; `model` is one of those in its facts. A message is ended by LF, a reply by CR LF."""
 
     line_ends = LineEnds((b"\n",), reply=b"\r\n")
@@ -114,9 +114,6 @@ class AimTti:
             reply for unit in units if unit.strip() and (reply := self._carry_out(unit.strip())) is not None
         ]
         return "\r\n".join(lines).encode("ascii") if lines else None
-
-    def device_clear(self) -> None:
-        """There is nothing under way."""
 
     def input_overflow(self) -> None:
         """Take a line that is too long for a command that it does not know."""

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from drivers.interfaces import BenchError
 from sim.scpi import ScpiInstrument
-from sim.wires.faults import FaultKind, FaultyInstrument
+from sim.wires.faults import OF_INSTRUMENT, FaultyInstrument
 from sim.wires.prologix import GpibAdapter
 from sim.wires.server import TcpServer, TerminalServer
 from sim.wires.session import ServedInstrument, Traffic
@@ -26,11 +26,6 @@ if TYPE_CHECKING:
     from sim.wires.faults import Fault
     from sim.wires.session import Dialect
     from sim.world.world import World
-
-OF_INSTRUMENT: Final = frozenset(
-    {FaultKind.HANG, FaultKind.POWER_CYCLE, FaultKind.OVERLOAD, FaultKind.LOCAL, FaultKind.ERROR}
-)
-"""The faults that are of the instrument and not of its wire."""
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Final
 
+from sim.wires.session import PlainDialect
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -19,7 +21,7 @@ _MODE: Final = re.compile(r"MODE,(OFF|STANDBY|CONSTANT|RUN\d+)\Z")
 _PROTECT: Final = re.compile(r"KEYPROTECT,(ON|OFF)\Z")
 
 
-class EspecP300:
+class EspecP300(PlainDialect):
     """The controller; `noise_c` is the standard deviation of its sensor, `name` what it calls itself.
 
     `alarms` may be set from outside.
@@ -50,12 +52,6 @@ class EspecP300:
         """Answer one command: there is one reply to each."""
         command = message.decode("ascii", "replace").strip()
         return self._answer(re.sub(r"\s*,\s*", ",", command.upper())).encode("ascii")
-
-    def device_clear(self) -> None:
-        """The controller knows none."""
-
-    def input_overflow(self) -> None:
-        """A line that is too long is not answered."""
 
     def power_cycle(self) -> None:
         """Switch off and on: it comes back in standby, its set point and limits are kept."""

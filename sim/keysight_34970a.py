@@ -20,7 +20,7 @@ from sim.keysight_34970a_scan import (
     Transducer,
     listed,
 )
-from sim.scpi import Command
+from sim.scpi import Command, Interface
 from sim.scpi_values import (
     DEF,
     MAX,
@@ -37,7 +37,7 @@ from sim.scpi_values import (
     notation_pattern,
     quoted,
 )
-from sim.voltmeters import VOLT_OVERLOAD, Accuracy, Converter, Interface, LineMeter, MeteredSignal
+from sim.voltmeters import VOLT_OVERLOAD, Accuracy, Converter, LineMeter, MeteredSignal
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

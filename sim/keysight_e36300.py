@@ -9,22 +9,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from drivers.facts import keysight_e36300 as facts
-from sim.scpi import Command, ScpiInstrument
-from sim.scpi_values import (
-    DEF,
-    MAX,
-    MIN,
-    Boolean,
-    Number,
-    OutputList,
-    ScpiError,
-    Text,
-    listed,
-    numbered,
-    quoted,
-    within,
-)
-from sim.supply import Outputs
+from sim.scpi import Command
+from sim.scpi_values import MAX, MIN, Boolean, Number, OutputList, ScpiError, listed, numbered, within
+from sim.supply import LEVEL, WORDS, KeysightSupply, shown_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,69 +20,63 @@ if TYPE_CHECKING:
     from sim.world.power import Stage
     from sim.world.world import World
 
-_LEVEL: Final = "[:LEVel][:IMMediate][:AMPLitude]"
-_WORDS: Final = (MIN, MAX, DEF)
 _LONGEST_DELAY_S: Final = 3600.0
 _DEFAULT_DELAY_S: Final = 0.05
-_SUMMARY: Final = 1 << 13
 
 
-class KeysightE36300(ScpiInstrument):
+class KeysightE36300(KeysightSupply):
     """A supply of the series. Commands without a channel list are for the selected output."""
 
     def __init__(self, world: World, *, model: str = "E36312A") -> None:
-        super().__init__(numbered(facts.IDENTITY.format(model=model), 1))
-        self.model = model
         self._delays_s: dict[str, float] = {}
-        self._selected = "1"
-        self._text = ""
-        self._outputs = Outputs(world, facts.OUTPUTS[model], self._preset, self.power_cycle)
+        super().__init__(
+            world, facts, model, numbered(facts.IDENTITY.format(model=model), 1), version="1999.0"
+        )
         self.add(self._settings_commands())
-        self.add(self._watching_commands())
-        self.add(self._system_commands())
+        self.add(
+            [
+                Command("MEASure[:SCALar][:VOLTage][:DC]?", self._each(self._volts), (OutputList(),)),
+                Command("MEASure[:SCALar]:CURRent[:DC]?", self._each(self._amperes), (OutputList(),)),
+            ]
+        )
 
-    # --- what the wire and the bench do -------------------------------------------------------------
-
-    def handle(self, message: bytes, interrupted: Callable[[], bool] = lambda: False) -> bytes | None:
-        """Carry out a message; without mains nothing is answered."""
-        return super().handle(message, interrupted) if self._outputs.has_mains else None
-
-    def press_local(self) -> None:
-        """Press Lock/Unlock on the front panel: over LAN it goes on being remote."""
+    def input_overflow(self) -> None:
+        """Take note that a message was longer than the input buffer."""
+        self.report(-223)
 
     def reset(self) -> None:
         """Carry out *RST."""
-        self._selected, self._delays_s, self._text = "1", {}, ""
-        self._outputs.reset()
+        self._delays_s = {}
+        super().reset()
 
     def _preset(self, name: str) -> dict[str, Any]:
-        limits = self._outputs_limits[name]
         return {
             "set_v": 0.0,
-            "limit_a": limits["current_a"][1] / 1.03,
-            "trip_v": max(limits["over_voltage_v"], key=abs),
+            "limit_a": self._default_a(name),
+            "trip_v": max(self._limits[name]["over_voltage_v"], key=abs),
             "trip_after_s": None,
         }
 
+    def _default_a(self, name: str) -> float:
+        return float(self._limits[name]["current_a"][1] / 1.03)
+
     @property
-    def _outputs_limits(self) -> dict[str, Any]:
+    def _limits(self) -> dict[str, Any]:
         return facts.OUTPUTS[self.model]
 
     # --- commands -----------------------------------------------------------------------------------
 
     def _settings_commands(self) -> list[Command]:
         return [
+            *self._both(f"[SOURce:]VOLTage{LEVEL}", self._set_voltage, lambda s: s.set_v, Number("V", WORDS)),
             *self._both(
-                f"[SOURce:]VOLTage{_LEVEL}", self._set_voltage, lambda s: s.set_v, Number("V", _WORDS)
-            ),
-            *self._both(
-                f"[SOURce:]CURRent{_LEVEL}", self._set_current, lambda s: s.limit_a, Number("A", _WORDS)
+                f"[SOURce:]CURRent{LEVEL}", self._set_current, lambda s: s.limit_a, Number("A", WORDS)
             ),
             *self._both(
                 "[SOURce:]VOLTage:PROTection[:LEVel]",
                 self._set_protection,
                 lambda s: s.trip_v or 0.0,
-                Number("V", _WORDS),
+                Number("V", WORDS),
             ),
             Command("[SOURce:]VOLTage:PROTection:TRIPped?", self._each(self._over_voltage), (OutputList(),)),
             Command("[SOURce:]VOLTage:PROTection:CLEar", self._clear, (OutputList(),)),
@@ -112,31 +93,6 @@ class KeysightE36300(ScpiInstrument):
             Command("OUTPut:PROTection:CLEar", self._clear, (OutputList(),)),
             Command("INSTrument[:SELect]", self._select, (_Selected(),)),
             Command("INSTrument[:SELect]?", lambda: f"CH{self._selected}"),
-            Command("INSTrument:NSELect", self._select_number, (Number(words=()),)),
-            Command("INSTrument:NSELect?", lambda: self._selected),
-        ]
-
-    def _watching_commands(self) -> list[Command]:
-        summary = "STATus:QUEStionable:INSTrument:ISUMmary"
-        return [
-            Command("MEASure[:SCALar][:VOLTage][:DC]?", self._each(self._volts), (OutputList(),)),
-            Command("MEASure[:SCALar]:CURRent[:DC]?", self._each(self._amperes), (OutputList(),)),
-            Command("STATus:QUEStionable:CONDition?", self._summary),
-            *(
-                Command(f"{summary}{name}{node}?", lambda name=name: self.number(self._condition(name)))
-                for name in self._outputs.names
-                for node in (":CONDition", "[:EVENt]")
-            ),
-        ]
-
-    def _system_commands(self) -> list[Command]:
-        return [
-            Command("DISPlay[:WINDow]:TEXT[:DATA]", self._write_text, (Text(),)),
-            Command("DISPlay[:WINDow]:TEXT[:DATA]?", lambda: quoted(self._text)),
-            Command("DISPlay[:WINDow]:TEXT:CLEar", lambda: self._write_text("")),
-            Command("SYSTem:BEEPer[:IMMediate]", lambda: None),
-            Command("SYSTem:VERSion?", lambda: "1999.0"),
-            *(Command(f"SYSTem:{word}", lambda: None) for word in ("LOCal", "REMote", "RWLock")),
         ]
 
     def _both(
@@ -153,7 +109,7 @@ class KeysightE36300(ScpiInstrument):
                 set_one(name, value)
 
         def ask(name: str) -> str:
-            return _number(get(self._outputs.stage(name)))
+            return shown_number(get(self._outputs.stage(name)))
 
         return Command(notation, put, (parameter, OutputList())), Command(
             f"{notation}?", self._each(ask), (OutputList(),)
@@ -179,19 +135,13 @@ class KeysightE36300(ScpiInstrument):
         self._outputs.change(name, set_v=wanted_v)
 
     def _set_current(self, name: str, value: Value) -> None:
-        default_a = self._outputs_limits[name]["current_a"][1] / 1.03
-        self._outputs.change(name, limit_a=self._of(name, "current_a", value, default_a))
+        limit_a = self._of(name, "current_a", value, self._default_a(name))
+        self._outputs.change(name, limit_a=limit_a)
 
     def _set_protection(self, name: str, value: Value) -> None:
         """Set the over-voltage protection; one below the voltage trips."""
-        highest_v = max(self._outputs_limits[name]["over_voltage_v"], key=abs)
+        highest_v = max(self._limits[name]["over_voltage_v"], key=abs)
         self._outputs.change(name, trip_v=self._of(name, "over_voltage_v", value, highest_v))
-
-    def _of(self, name: str, what: str, value: Value, default: float) -> float:
-        near, far = self._outputs.span(name, what)
-        if isinstance(value, str):
-            return {MIN: near, MAX: far, DEF: default}[value]
-        return within(value, min(near, far), max(near, far))
 
     def _set_over_current(self, on: Value, outputs: Value = "") -> None:
         for name in self._listed(outputs):
@@ -210,7 +160,7 @@ class KeysightE36300(ScpiInstrument):
                 self._outputs.change(name, trip_after_s=delay_s)
 
     def _delay(self, name: str) -> str:
-        return _number(self._delays_s.get(name, _DEFAULT_DELAY_S))
+        return shown_number(self._delays_s.get(name, _DEFAULT_DELAY_S))
 
     def _switch(self, on: Value, outputs: Value = "") -> None:
         for name in self._listed(outputs):
@@ -223,37 +173,19 @@ class KeysightE36300(ScpiInstrument):
     def _select(self, output: Value) -> None:
         self._select_number(float(str(output)))
 
-    def _select_number(self, number: float) -> None:
-        self._selected = str(round(within(number, 1, len(self._outputs.names))))
-
     # --- what it measures ---------------------------------------------------------------------------
 
     def _volts(self, name: str) -> str:
-        return _number(self._outputs.shown(name).voltage_v)
+        return shown_number(self._outputs.shown(name).voltage_v)
 
     def _amperes(self, name: str) -> str:
-        return _number(self._outputs.shown(name).current_a)
+        return shown_number(self._outputs.shown(name).current_a)
 
     def _over_voltage(self, name: str) -> str:
         return str(int(self._outputs.stage(name).tripped == "voltage"))
 
     def _over_current(self, name: str) -> str:
         return str(int(self._outputs.stage(name).tripped == "current"))
-
-    def _condition(self, name: str) -> int:
-        stage = self._outputs.stage(name)
-        if stage.tripped is not None:
-            return facts.OVER_VOLTAGE if stage.tripped == "voltage" else facts.OVER_CURRENT
-        if not stage.on:
-            return 0
-        return facts.LIMITING if self._outputs.shown(name).limiting else facts.REGULATING
-
-    def _summary(self) -> str:
-        questionable = any(self._condition(name) not in (0, facts.REGULATING) for name in self._outputs.names)
-        return self.number(_SUMMARY if questionable else 0)
-
-    def _write_text(self, text: Value) -> None:
-        self._text = str(text)[:12]
 
 
 class _Selected:
@@ -269,8 +201,3 @@ class _Selected:
         if word not in names and word.rstrip("123") not in ("CH", "OUTP", "OUTPUT"):
             raise ScpiError(-224)
         return digit
-
-
-def _number(value: float) -> str:
-    """Return a number as it prints it: +5.00000000E+00."""
-    return f"{value:+.8E}"

@@ -11,7 +11,7 @@ import re
 from typing import TYPE_CHECKING, Final
 
 from drivers.facts import leica_nivel as facts
-from sim.wires.session import LineEnds
+from sim.wires.session import LineEnds, PlainDialect
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +28,7 @@ _FIXED: Final = {
 }  # fmt: skip
 
 
-class LeicaNivel:
+class LeicaNivel(PlainDialect):
     """One sensor, of the address N`sensor`; `along` and `across` as in a bench file."""
 
     model = "Nivel210"
@@ -57,12 +57,6 @@ class LeicaNivel:
         """Switch off and on."""
         self._averages = facts.AVERAGES
         self._switches = {"B": "OFF", "C": "ON", "M": "CONT", "P": "OFF"}
-
-    def device_clear(self) -> None:
-        """There is none: ETX ends a block."""
-
-    def input_overflow(self) -> None:
-        """What is too long is no block."""
 
     @staticmethod
     def _framed(said: bytes) -> bytes:

@@ -13,7 +13,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Final
 
 from drivers.facts import newport_esp301 as facts
-from sim.wires.session import LineEnds
+from sim.wires.session import LineEnds, PlainDialect
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,7 +35,7 @@ class _Mistake(Exception):
         self.code = code
 
 
-class Esp301:
+class Esp301(PlainDialect):
     """One axis of a controller. `homed` False is one that was just switched on: motor off, zero where it stands.
 
     `speed_deg_s` is the most that the stage can have; switched on it has a tenth of it. Beyond `lowest_deg` and
@@ -97,9 +97,6 @@ class Esp301:
             if reply is not None:
                 replies.append(reply)
         return facts.READ_TERMINATION.join(replies).encode("ascii") if replies else None
-
-    def device_clear(self) -> None:
-        """The protocol knows none."""
 
     def input_overflow(self) -> None:
         """A line that is too long is a command that does not exist."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 from sim.scpi_values import (
     ERRORS,
@@ -242,6 +242,65 @@ class ScpiInstrument:
 
     def _set_power_on_clear(self, flag: float) -> None:
         self.status.power_on_clear = round(flag) != 0
+
+
+Interface = Literal["gpib", "rs232", "lan"]
+
+_OVERFLOW: Final = 521
+_REMOTE_ERRORS: Final = {
+    514: "Command allowed only with RS-232",
+    _OVERFLOW: "Input buffer overflow",
+    550: "Command not allowed in local",
+}
+_REMOTE_COMMANDS: Final = ("SYSTem:LOCal", "SYSTem:REMote", "SYSTem:RWLock")
+_ALLOWED_IN_LOCAL: Final = (*_REMOTE_COMMANDS, "SYSTem:ERRor?", "*IDN?", "*CLS", "*ESR?", "*STB?")
+
+
+class RemoteInstrument(ScpiInstrument):
+    """An instrument that is local or remote; `interface` is what it believes to be connected by.
+
+    "rs232" refuses (+550) all but identification, errors and SYSTem:REMote until that was sent, "gpib" refuses
+    the SYSTem:REMote family (+514), "lan" takes both and needs neither.
+    """
+
+    def __init__(self, identity: str, errors: Mapping[int, str], interface: Interface) -> None:
+        super().__init__(identity, {**_REMOTE_ERRORS, **errors})
+        self.interface = interface
+        self._remote = self._locked = False
+        self.add(
+            [
+                Command("SYSTem:LOCal", lambda: self._set_remote(False)),
+                Command("SYSTem:REMote", lambda: self._set_remote(True)),
+                Command("SYSTem:RWLock", lambda: self._set_remote(True, locked=True)),
+            ]
+        )
+
+    def admit(self, command: Command) -> None:
+        """Refuse what the interface does not allow."""
+        if self.interface == "gpib" and command.notation in _REMOTE_COMMANDS:
+            raise ScpiError(514)
+        if self.interface == "rs232" and not self._remote and command.notation not in _ALLOWED_IN_LOCAL:
+            raise ScpiError(550)
+
+    def input_overflow(self) -> None:
+        """Take note that a message was longer than the input buffer."""
+        self.report(_OVERFLOW)
+
+    def power_cycle(self) -> None:
+        """Switch off and on: the settings are gone, all but what a model keeps."""
+        super().power_cycle()
+        self._set_remote(False)
+
+    def press_local(self) -> None:
+        """Press LOCAL on the front panel: over RS-232 commands are refused until SYSTem:REMote.
+
+        Locked by SYSTem:RWLock the key does nothing.
+        """
+        if not self._locked:
+            self._remote = False
+
+    def _set_remote(self, remote: bool, locked: bool = False) -> None:
+        self._remote, self._locked = remote, locked
 
 
 def switch_lines(

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
+
+from sim.scpi import Command, Interface, RemoteInstrument, never
+from sim.scpi_values import DEF, MAX, MIN, Number, Text, Value, quoted, within
 
 if TYPE_CHECKING:
+    from types import ModuleType
+
     from sim.world.power import Shown, Stage
     from sim.world.world import World
 
@@ -94,3 +100,100 @@ class Outputs:
 
 def _rounded(value: float, step: float) -> float:
     return round(value / step) * step
+
+
+LEVEL: Final = "[:LEVel][:IMMediate][:AMPLitude]"
+WORDS: Final = (MIN, MAX, DEF)
+_QUESTIONABLE_SUMMARY: Final = 1 << 13
+_DISPLAY_WIDTH: Final = 12
+
+
+class KeysightSupply(RemoteInstrument):
+    """The base of the Keysight supplies: the outputs of a world, of which one is selected, and a display's text.
+
+    `facts` are those of the supply, `version` what it answers to SYSTem:VERSion?.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        facts: ModuleType,
+        model: str,
+        identity: str,
+        *,
+        version: str,
+        interface: Interface = "lan",
+    ) -> None:
+        super().__init__(identity, {}, interface)
+        self.model = model
+        self._facts = facts
+        self._text = ""
+        limits = facts.OUTPUTS[model]
+        self._selected = next(iter(limits))
+        self._outputs = Outputs(
+            world, limits, self._preset, self.power_cycle, one_switch=facts.SWITCHED_TOGETHER
+        )
+        self.add(self._shared_commands(version))
+
+    @abstractmethod
+    def _preset(self, name: str) -> dict[str, Any]:
+        """Return how an output is after switching on and *RST."""
+
+    def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:
+        """Carry out a message; without mains nothing is answered."""
+        return super().handle(message, interrupted) if self._outputs.has_mains else None
+
+    def reset(self) -> None:
+        """Carry out *RST."""
+        self._selected, self._text = self._outputs.names[0], ""
+        self._outputs.reset()
+
+    def _shared_commands(self, version: str) -> list[Command]:
+        names, summary = self._outputs.names, "STATus:QUEStionable:INSTrument:ISUMmary"
+        return [
+            Command("INSTrument:NSELect", self._select_number, (Number(words=()),)),
+            Command("INSTrument:NSELect?", lambda: str(1 + names.index(self._selected))),
+            Command("STATus:QUEStionable:CONDition?", self._summary),
+            *(
+                Command(f"{summary}{number}{node}?", lambda name=name: self.number(self._condition(name)))
+                for number, name in enumerate(names, start=1)
+                for node in (":CONDition", "[:EVENt]")
+            ),
+            Command("DISPlay[:WINDow]:TEXT[:DATA]", self._write_text, (Text(),)),
+            Command("DISPlay[:WINDow]:TEXT[:DATA]?", lambda: quoted(self._text)),
+            Command("DISPlay[:WINDow]:TEXT:CLEar", lambda: self._write_text("")),
+            Command("SYSTem:BEEPer[:IMMediate]", lambda: None),
+            Command("SYSTem:VERSion?", lambda: version),
+        ]
+
+    def _of(self, name: str, what: str, value: Value, default: float) -> float:
+        """Return a setting of an output, of a number or a word. Raises `ScpiError` -222 beyond its range."""
+        near, far = self._outputs.span(name, what)
+        if isinstance(value, str):
+            return {MIN: near, MAX: far, DEF: default}[value]
+        return within(value, min(near, far), max(near, far))
+
+    def _select_number(self, number: float) -> None:
+        self._selected = self._outputs.names[round(within(number, 1, len(self._outputs.names))) - 1]
+
+    def _condition(self, name: str) -> int:
+        """Return the bits of an output: what has tripped it, or how it regulates."""
+        stage, facts = self._outputs.stage(name), self._facts
+        if stage.tripped is not None:
+            return int(facts.OVER_VOLTAGE if stage.tripped == "voltage" else facts.OVER_CURRENT)
+        if not stage.on:
+            return 0
+        return int(facts.LIMITING if self._outputs.shown(name).limiting else facts.REGULATING)
+
+    def _summary(self) -> str:
+        well = (0, self._facts.REGULATING)
+        questionable = any(self._condition(name) not in well for name in self._outputs.names)
+        return self.number(_QUESTIONABLE_SUMMARY if questionable else 0)
+
+    def _write_text(self, text: Value) -> None:
+        self._text = str(text)[:_DISPLAY_WIDTH]
+
+
+def shown_number(value: float) -> str:
+    """Return a number as these supplies print it: +5.00000000E+00."""
+    return f"{value:+.8E}"

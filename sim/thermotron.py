@@ -11,6 +11,7 @@ import re
 from typing import TYPE_CHECKING, Final
 
 from drivers.facts.thermotron import BUSY_S, MANUAL, STOPPED
+from sim.wires.session import PlainDialect
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,7 +23,7 @@ IDENTITY: Final = "8800 V3.12"
 _SET_POINT: Final = re.compile(r"SETP1,([+-]?\d+(?:\.\d+)?)\Z")
 
 
-class Thermotron8800:
+class Thermotron8800(PlainDialect):
     """The controller; stopped when it is switched on. A set point is acted on at RUNM only.
 
     `identity` is what it answers to IDEN?.
@@ -60,12 +61,6 @@ class Thermotron8800:
         self._wrote_s = now_s
         self._carry_out(command)
         return None
-
-    def device_clear(self) -> None:
-        """The controller knows none."""
-
-    def input_overflow(self) -> None:
-        """A line that is too long is passed over."""
 
     def power_cycle(self) -> None:
         """Switch off and on: it comes back stopped, the set point is kept."""

@@ -10,7 +10,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 from drivers.facts.agilent_34401a import OVERLOAD_V
-from sim.scpi import Command, DeviceClear, ScpiInstrument, never
+from sim.scpi import Command, DeviceClear, Interface, RemoteInstrument, never
 from sim.scpi_values import DEF, MAX, MIN, ScpiError, Value, next_above
 from sim.world.clock import VirtualClock, wait_until
 
@@ -328,40 +328,25 @@ def reading_text(value: float, step: float) -> str:
 
 # --- the line ---------------------------------------------------------------------------------------
 
-Interface = Literal["gpib", "rs232", "lan"]
-
 VOLT_OVERLOAD: Final = 1
 """The bit of the questionable data register."""
 
 _ERRORS: Final = {
-    514: "Command allowed only with RS-232",
-    521: "Input buffer overflow",
     522: "Output buffer overflow",
     532: "Cannot achieve requested resolution",
-    550: "Command not allowed in local",
 }
-_REMOTE_COMMANDS: Final = ("SYSTem:LOCal", "SYSTem:REMote", "SYSTem:RWLock")
-_ALLOWED_IN_LOCAL: Final = (*_REMOTE_COMMANDS, "SYSTem:ERRor?", "*IDN?", "*CLS", "*ESR?", "*STB?")
 _SCPI_VERSION: Final = "1994.0"
 
 
-class LineMeter(ScpiInstrument):
-    """The base of the meters.
-
-    `interface` is what a meter believes to be connected by: "rs232" refuses (+550) all but identification,
-    errors and SYSTem:REMote until that was sent, "gpib" refuses the SYSTem:REMote family (+514), "lan" takes
-    both and needs neither. `errors` are the texts that the model has beside those of the line.
-    """
+class LineMeter(RemoteInstrument):
+    """The base of the meters; `errors` are the texts that the model has beside those of the line."""
 
     beside_measuring: tuple[str, ...] = ()
     """The commands that do not wait for a measurement under way."""
 
     def __init__(self, identity: str, errors: Mapping[int, str], interface: Interface) -> None:
-        super().__init__(identity, {**_ERRORS, **errors})
-        self.interface = interface
-        self._remote = False
-        self._locked = False
-        self.add(self._remote_commands())
+        super().__init__(identity, {**_ERRORS, **errors}, interface)
+        self.add([Command("SYSTem:VERSion?", lambda: _SCPI_VERSION)])
 
     # --- what a model says --------------------------------------------------------------------------
 
@@ -379,33 +364,13 @@ class LineMeter(ScpiInstrument):
 
     def admit(self, command: Command) -> None:
         """Refuse what the interface does not allow, and wait for a measurement under way."""
-        if self.interface == "gpib" and command.notation in _REMOTE_COMMANDS:
-            raise ScpiError(514)
-        if self.interface == "rs232" and not self._remote and command.notation not in _ALLOWED_IN_LOCAL:
-            raise ScpiError(550)
+        super().admit(command)
         if command.notation not in self.beside_measuring:
             self.cycle.complete()
 
     def device_clear(self) -> None:
         """Stop measuring and go to idle; settings, errors and status stay."""
         self.cycle.abort()
-
-    def input_overflow(self) -> None:
-        """Take note that a message was longer than the input buffer."""
-        self.report(521)
-
-    def power_cycle(self) -> None:
-        """Switch off and on: the settings are gone, all but what a model keeps."""
-        super().power_cycle()
-        self._set_remote(False)
-
-    def press_local(self) -> None:
-        """Press LOCAL on the front panel: an RS-232 meter refuses commands until SYSTem:REMote.
-
-        Locked by SYSTem:RWLock the key does nothing.
-        """
-        if not self._locked:
-            self._remote = False
 
     @property
     def overloaded(self) -> bool:
@@ -416,20 +381,6 @@ class LineMeter(ScpiInstrument):
     def overloaded(self, overloaded: bool) -> None:
         for converter in self.converters:
             converter.overloaded = overloaded
-
-    # --- commands -----------------------------------------------------------------------------------
-
-    def _remote_commands(self) -> list[Command]:
-        return [
-            Command("SYSTem:VERSion?", lambda: _SCPI_VERSION),
-            Command("SYSTem:LOCal", lambda: self._set_remote(False)),
-            Command("SYSTem:REMote", lambda: self._set_remote(True)),
-            Command("SYSTem:RWLock", lambda: self._set_remote(True, locked=True)),
-        ]
-
-    def _set_remote(self, remote: bool, locked: bool = False) -> None:
-        self._remote = remote
-        self._locked = locked
 
 
 class TriggerState(Enum):

@@ -11,6 +11,7 @@ import re
 from typing import TYPE_CHECKING, Final
 
 from drivers.facts.zaber import MOST_STEPS, RESOLUTION, SPEED_UNITS, checksum
+from sim.wires.session import PlainDialect
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,7 +28,7 @@ class _Rejected(Exception):
     """A command that is answered with RJ and this reason."""
 
 
-class ZaberStage:
+class ZaberStage(PlainDialect):
     """One device of which the axis `axis` is the head; `steps_per_degree` microsteps turn it by 1°.
 
     `homed` False is a stage that was just switched on and has no absolute encoder: it must be homed first.
@@ -92,12 +93,6 @@ class ZaberStage:
         alert = self._alert()
         reply = self._reply(axis, number, words)
         return (alert + reply).encode("ascii")
-
-    def device_clear(self) -> None:
-        """The protocol knows none."""
-
-    def input_overflow(self) -> None:
-        """A line that is too long is not answered."""
 
     def power_cycle(self) -> None:
         """Switch off and on: the motion ends, the reference is lost; settings are kept."""

@@ -13,6 +13,7 @@ import shlex
 from typing import TYPE_CHECKING, Final, cast
 
 from sim.wires.faults import Fault
+from sim.wires.session import PlainDialect
 from sim.world.pose import HeadFault
 from sim.world.power import DISTURBANCES, Disturbance
 
@@ -57,7 +58,7 @@ class ControlError(Exception):
     """A command that cannot be carried out; the text says why."""
 
 
-class BenchControl:
+class BenchControl(PlainDialect):
     """A `Dialect` that understands the commands of `HELP` and carries them out on a bench."""
 
     model = "control"
@@ -93,12 +94,6 @@ class BenchControl:
         except (ControlError, ValueError) as error:
             told = {"ok": False, "error": str(error)}
         return json.dumps(told, ensure_ascii=False).encode("utf-8")
-
-    def device_clear(self) -> None:
-        """Nothing is ever under way."""
-
-    def input_overflow(self) -> None:
-        """A line that was too long is passed over."""
 
     # --- the world ----------------------------------------------------------------------------------
 

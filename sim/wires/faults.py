@@ -110,6 +110,10 @@ _NEEDS: Final[dict[FaultKind, tuple[type, str]]] = {
 }
 
 
+OF_INSTRUMENT: Final = frozenset({*_NEEDS, FaultKind.HANG})
+"""The faults of the instrument; the others are of its wire."""
+
+
 @dataclass(frozen=True, slots=True)
 class Fault:
     """One kind of fault and when it strikes.
@@ -292,7 +296,11 @@ class FaultyInstrument:
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         """Carry out a message with the instrument's own faults."""
-        struck = {a.fault.kind: a.fault for a in self._armed if _is_own(a) and a.strikes(message, None)}
+        struck = {
+            a.fault.kind: a.fault
+            for a in self._armed
+            if a.fault.kind in OF_INSTRUMENT and a.strikes(message, None)
+        }
         if hang := struck.get(FaultKind.HANG):
             self._hung_until_s = self._clock.now_s() + hang.seconds if hang.seconds else math.inf
         if FaultKind.POWER_CYCLE in struck:
@@ -343,7 +351,7 @@ class FaultyInstrument:
 
     def wire_fault(self, message: bytes, reply: bytes | None) -> WireFault | None:
         """Return what the wire does to this exchange; all faults count it, the first that strikes acts."""
-        struck = [a for a in self._armed if not _is_own(a) and a.strikes(message, reply)]
+        struck = [a for a in self._armed if a.fault.kind not in OF_INSTRUMENT and a.strikes(message, reply)]
         if self._hangs_now or not struck:
             return None
         fault, answer = struck[0].fault, reply or b""
@@ -362,8 +370,3 @@ class FaultyInstrument:
             case FaultKind.GARBLE:
                 made = WireFault.garble(answer)
         return made
-
-
-def _is_own(armed: _Armed) -> bool:
-    """Whether a fault is the instrument's, not the wire's."""
-    return armed.fault.kind in _NEEDS or armed.fault.kind is FaultKind.HANG

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from sim.scpi import ScpiInstrument, never
+from sim.wires.session import PlainDialect
 from sim.world.clock import VirtualClock, wait_until
 
 if TYPE_CHECKING:
@@ -139,7 +140,7 @@ class _BusDevice:
 _Instrument = TypeVar("_Instrument", bound=ScpiInstrument)
 
 
-class GpibAdapter:
+class GpibAdapter(PlainDialect):
     """The adapter; `clock` is the bench's. Instruments are put on its bus with `attach`.
 
     `settings` are those it was switched on with. `writes_to_memory` counts how often it saved its settings
@@ -211,12 +212,6 @@ class GpibAdapter:
             name, *arguments = message[2:].decode("ascii", "replace").split() or [""]
             return self._command(name, arguments)
         return self._write(re.sub(rb"\x1b(.)", rb"\1", message, flags=re.DOTALL)) if message else None
-
-    def device_clear(self) -> None:
-        """Ctrl-C means nothing to an adapter."""
-
-    def input_overflow(self) -> None:
-        """An adapter holds its client up instead."""
 
     # --- the bus ------------------------------------------------------------------------------------
 

@@ -7,13 +7,13 @@ import os
 import select
 import socket
 import threading
-from typing import TYPE_CHECKING, Final
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Final, Self
 
 from sim.wires.session import TERMINATOR, Session
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import TracebackType
 
     from sim.wires.session import FaultHook, ServedInstrument
 
@@ -70,33 +70,54 @@ class TcpTransport:
                 self._socket.setsockopt(socket.IPPROTO_TCP, option, 1)
 
 
-class TcpServer:
+class InstrumentServer(ABC):
+    """A wire for one instrument, open while its context lasts."""
+
+    def __init__(self, instrument: ServedInstrument) -> None:
+        self.instrument = instrument
+        self._state_lock = threading.Lock()
+        self._later: threading.Timer | None = None
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    @abstractmethod
+    def start(self) -> None:
+        """Serve. Raises `OSError` when the wire is not to be had."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Close the wire, and wait for its threads."""
+
+    def _accept_later(self, duration_s: float, accept: Callable[[], None]) -> None:
+        """Accept connections again after a while; 0: not before somebody says so."""
+        if duration_s > 0.0:
+            self._later = threading.Timer(duration_s, accept)
+            self._later.daemon = True
+            self._later.start()
+
+    def _forget_later(self) -> None:
+        if self._later is not None:
+            self._later.cancel()
+
+
+class TcpServer(InstrumentServer):
     """A listening port for one instrument; a context manager.
 
     `port` 0 takes a free one. Loopback is the default, as whoever reaches the port commands the instrument.
     """
 
     def __init__(self, instrument: ServedInstrument, *, host: str = "127.0.0.1", port: int = 0) -> None:
-        self.instrument = instrument
+        super().__init__(instrument)
         self.host = host
         self.port = port
-        self._state_lock = threading.Lock()
         self._listener: socket.socket | None = None
         self._accepting: threading.Thread | None = None
-        self._later: threading.Timer | None = None
         self._clients: dict[threading.Thread, TcpTransport] = {}
-
-    def __enter__(self) -> TcpServer:
-        self.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.stop()
 
     @property
     def fault(self) -> FaultHook | None:
@@ -130,8 +151,7 @@ class TcpServer:
     def stop(self) -> None:
         """Stop listening, close all connections, and wait for their threads."""
         self.refuse()
-        if self._later is not None:
-            self._later.cancel()
+        self._forget_later()
         with self._state_lock:
             clients = dict(self._clients)
         for transport in clients.values():
@@ -149,10 +169,7 @@ class TcpServer:
 
     def refuse(self, duration_s: float = 0.0) -> None:
         """Stop listening: new connections are refused from now on, for a while or until `accept_again`."""
-        if duration_s > 0.0:
-            self._later = threading.Timer(duration_s, self._try_again)
-            self._later.daemon = True
-            self._later.start()
+        self._accept_later(duration_s, self._try_again)
         listener, self._listener = self._listener, None
         if listener is None:
             return
@@ -268,7 +285,7 @@ class TerminalTransport:
         raise OSError("the terminal was closed by the server")
 
 
-class TerminalServer:
+class TerminalServer(InstrumentServer):
     """A pseudo-terminal for one instrument; a context manager. `path` is what clients open.
 
     Several clients may open it, one after the other or at once, and leave: the terminal stays. A connection
@@ -276,28 +293,14 @@ class TerminalServer:
     """
 
     def __init__(self, instrument: ServedInstrument) -> None:
-        self.instrument = instrument
+        super().__init__(instrument)
         self.path = ""
         self._master = self._slave = -1
         self._stopping = False
-        self._state_lock = threading.Lock()
         self._accepts = threading.Event()
         self._accepts.set()
-        self._later: threading.Timer | None = None
         self._transport: TerminalTransport | None = None
         self._thread: threading.Thread | None = None
-
-    def __enter__(self) -> TerminalServer:
-        self.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.stop()
 
     @property
     def resource(self) -> str:
@@ -327,8 +330,7 @@ class TerminalServer:
         with self._state_lock:
             self._stopping = True
         self._accepts.set()
-        if self._later is not None:
-            self._later.cancel()
+        self._forget_later()
         self.drop_connections()
         if self._thread is not None:
             self._thread.join(_PTY_JOIN_S)
@@ -348,10 +350,7 @@ class TerminalServer:
     def refuse(self, duration_s: float = 0.0) -> None:
         """Let the wire be dead from now on, for a while or until `accept_again`."""
         self._accepts.clear()
-        if duration_s > 0.0:
-            self._later = threading.Timer(duration_s, self.accept_again)
-            self._later.daemon = True
-            self._later.start()
+        self._accept_later(duration_s, self.accept_again)
         self.drop_connections()
 
     def accept_again(self) -> None:

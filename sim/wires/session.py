@@ -142,6 +142,16 @@ class Dialect(Protocol):
         ...
 
 
+class PlainDialect:
+    """The base of dialects that carry out each message at once: there is nothing to clear or to note."""
+
+    def device_clear(self) -> None:
+        """Nothing is ever under way."""
+
+    def input_overflow(self) -> None:
+        """A line that was too long is passed over."""
+
+
 @runtime_checkable
 class Forsakable(Protocol):
     """A dialect that may be busy for hours with what one client wanted of it."""
