@@ -15,11 +15,9 @@ class Clock(Protocol):
 
     def now_s(self) -> float:
         """Return the bench time, s."""
-        ...
 
     def sleep(self, duration_s: float) -> None:
         """Let `duration_s` seconds of bench time pass."""
-        ...
 
 
 class SystemClock:

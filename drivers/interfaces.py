@@ -94,7 +94,6 @@ class Instrument(Protocol):
 
     def open(self) -> Identity:
         """Connect, prove the identity and return it. Raises `InstrumentLost` or `InstrumentRefused`."""
-        ...
 
     def close(self) -> str | None:
         """Leave the instrument safe and in local, and let it go. Never raises, may be called twice.
@@ -102,7 +101,6 @@ class Instrument(Protocol):
         Each command that makes it safe is tried, whatever became of those before (`drivers.making_safe`).
         Returns what a person must still do where one failed, nothing where all is safe.
         """
-        ...
 
 
 @runtime_checkable
@@ -114,7 +112,6 @@ class SelfTesting(Protocol):
 
         What was set before is to be set anew. Raises `InstrumentLost`, `BadReading`.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,18 +174,15 @@ class Voltmeter(Instrument, Protocol):
 
     def configure(self, settings: VoltmeterSettings) -> None:
         """Apply the settings and prove that they were taken. Raises `InstrumentRefused`, `InstrumentLost`."""
-        ...
 
     def start(self) -> None:
         """Begin one reading of `samples` samples."""
-        ...
 
     def fetch(self) -> dict[Channel, tuple[float, ...]]:
         """Wait for the reading and return the samples in volts, `{"x": (1.2, 1.2)}`.
 
         Raises `BadReading` for an overload or anything that is not a number, `InstrumentLost`.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +202,6 @@ class DividingHead(Instrument, Protocol):
 
         `key` names the step that asks. Raises `LimitExceeded`, `InstrumentLost`, `NoAnswer`.
         """
-        ...
 
 
 @runtime_checkable
@@ -220,14 +213,12 @@ class ThermalChamber(Instrument, Protocol):
 
     def set_temperature(self, target_c: float, key: str) -> None:
         """Demand a temperature, °C. Raises `LimitExceeded` before anything is sent, `InstrumentLost`."""
-        ...
 
     def make_safe(self) -> str:
         """Go to the safe setting; return what a person must still do, empty for nothing.
 
         Raises `BenchError` where the chamber does not obey; it is called on every way out of a run.
         """
-        ...
 
     def temperature(self, key: str, *, settling: bool = False) -> float:
         """Return the temperature at the block (or of the air, where that is all there is), °C.
@@ -235,7 +226,6 @@ class ThermalChamber(Instrument, Protocol):
         While it is `settling` it may still be far from what was demanded; else that is an error where the
         bench file states a band. Raises `InstrumentRefused`, `InstrumentLost`, `BadReading`.
         """
-        ...
 
 
 LevelAxis = Literal["along", "across"]
@@ -274,14 +264,12 @@ class Level(Instrument, Protocol):
     @property
     def sizes(self) -> LevelSizes:
         """How exact it is."""
-        ...
 
     def inclination(self, key: str, *, turned: bool) -> Inclination:
         """Return what it shows at rest in its first position, or `turned` half a turn from it, with its own signs.
 
         Raises `BadReading` for what is out of its range, `InstrumentRefused`, `InstrumentLost`, `NoAnswer`.
         """
-        ...
 
 
 @runtime_checkable
@@ -300,7 +288,6 @@ class Thermometer(Instrument, Protocol):
         Raises `BadReading` for an open sensor or what no block has, `InstrumentRefused`, `InstrumentLost`,
         `NoAnswer`.
         """
-        ...
 
 
 # --- power supplies ---------------------------------------------------------------------------------
@@ -466,7 +453,6 @@ class PowerSupply(Instrument, Protocol):
 
         Raises `InstrumentLost`, `BadReading`, `InstrumentRefused` (errors that it reports), `NoAnswer`.
         """
-        ...
 
     def set_up(self, settings: Mapping[str, OutputSettings], key: str) -> None:
         """Set outputs, protections first, and read everything back. None is switched.
@@ -475,7 +461,6 @@ class PowerSupply(Instrument, Protocol):
         `SetOtherwise` with what is set before anything is changed, `InstrumentRefused` for a setting not taken
         or a protection that has tripped, `InstrumentLost`, `BadReading`, `NoAnswer`.
         """
-        ...
 
     def switch(self, output: str, on: bool, key: str) -> None:
         """Switch an output on or off and read it back; with it all others, where the supply has one switch.
@@ -483,11 +468,9 @@ class PowerSupply(Instrument, Protocol):
         Raises `InstrumentRefused` for one that was never set up, was not taken, or has tripped since;
         `InstrumentLost`, `BadReading`, `NoAnswer`.
         """
-        ...
 
     def switch_all_off(self) -> str:
         """Switch every output off and read it back; return what a person must still do, empty for nothing.
 
         Raises `BenchError` where the supply does not obey; it may be called on every way out of a run.
         """
-        ...

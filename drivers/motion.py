@@ -100,23 +100,18 @@ class Axis(Protocol):
 
     def prepare(self) -> None:
         """Make the axis ready to move: powered, homed, in its positioning mode."""
-        ...
 
     def position_rad(self) -> float:
         """Return the angle read back."""
-        ...
 
     def start(self, target_rad: float) -> None:
         """Begin to move to an angle."""
-        ...
 
     def moving(self) -> bool:
         """Whether the axis moves. Raises `InstrumentRefused` for what keeps it from arriving."""
-        ...
 
     def stop(self) -> None:
         """Stop the motion where it is. Raises `BenchError` where that is not confirmed."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

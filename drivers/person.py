@@ -167,7 +167,6 @@ class Person(Protocol):
 
         Raises `NoAnswer` when there is nobody (left) to answer.
         """
-        ...
 
 
 @runtime_checkable
@@ -182,4 +181,3 @@ class WatchingPerson(Protocol):
 
     def ask(self, prompt: Prompt) -> Answer:
         """Put the prompt and wait for the answer, as a `Person`."""
-        ...

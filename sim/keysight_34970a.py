@@ -92,13 +92,7 @@ class Keysight34970A(LineMeter):
         self._channels = {
             number: (
                 ChannelConfiguration(),
-                Converter(
-                    inputs[number],
-                    facts,
-                    noise=noise,
-                    accuracy=accuracy,
-                    line_hz=line_hz,
-                ),
+                Converter(inputs[number], facts, noise=noise, accuracy=accuracy, line_hz=line_hz),
             )
             for number in numbers
         }

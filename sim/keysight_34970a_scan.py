@@ -184,7 +184,6 @@ class HasSensor(Protocol):
 
     def shown_c(self, configured: str, time_s: float) -> float:
         """Return what it shows as the sensor that is configured, °C."""
-        ...
 
 
 class CardInput:

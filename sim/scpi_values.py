@@ -219,11 +219,9 @@ class CommandParameter(Protocol):
     @property
     def optional(self) -> bool:
         """Whether it may be left out."""
-        ...
 
     def parse(self, text: str) -> Value:
         """Return the value. Raises `ScpiError` with the number that the standard gives the mistake."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -30,12 +30,7 @@ class Thermotron8800(PlainDialect):
     """
 
     def __init__(
-        self,
-        world: World,
-        *,
-        identity: str = IDENTITY,
-        lowest_c: float = -70.0,
-        highest_c: float = 180.0,
+        self, world: World, *, identity: str = IDENTITY, lowest_c: float = -70.0, highest_c: float = 180.0
     ) -> None:
         self._world = world
         self._identity = identity

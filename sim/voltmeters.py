@@ -123,28 +123,22 @@ class MeteredSignal(Protocol):
     @property
     def place(self) -> int:
         """Which of the bench's meters stands here, from 0: each has a serial number of its own."""
-        ...
 
     @property
     def temperature_c(self) -> float:
         """The temperature at the meter, °C."""
-        ...
 
     def signal_v(self, time_s: float | None = None) -> float:
         """Return the voltage at the terminals now, or as it was at `time_s` of the clock, V."""
-        ...
 
     def new_reading(self) -> None:
         """Say that a reading was triggered."""
-        ...
 
     def random(self, purpose: str) -> np.random.Generator:
         """Return the generator for a purpose within the present reading."""
-        ...
 
     def fixed_random(self, purpose: str) -> np.random.Generator:
         """Return the generator for something that this meter has for good."""
-        ...
 
 
 class Measurement(Protocol):
@@ -153,27 +147,22 @@ class Measurement(Protocol):
     @property
     def function(self) -> Function:
         """The measuring function."""
-        ...
 
     @property
     def settings(self) -> FunctionSettings:
         """Its range, which autorange changes, and its resolution."""
-        ...
 
     @property
     def nplc(self) -> float:
         """Integration in power-line cycles, or the gate time in s where it counts."""
-        ...
 
     @property
     def autozero(self) -> bool:
         """Whether the zero is measured with each sample."""
-        ...
 
     @property
     def bandwidth_hz(self) -> float:
         """The slowest alternating signal that is measured right, Hz."""
-        ...
 
 
 class Converter:
@@ -331,10 +320,7 @@ def reading_text(value: float, step: float) -> str:
 VOLT_OVERLOAD: Final = 1
 """The bit of the questionable data register."""
 
-_ERRORS: Final = {
-    522: "Output buffer overflow",
-    532: "Cannot achieve requested resolution",
-}
+_ERRORS: Final = {522: "Output buffer overflow", 532: "Cannot achieve requested resolution"}
 _SCPI_VERSION: Final = "1994.0"
 
 

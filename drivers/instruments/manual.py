@@ -258,13 +258,7 @@ class ManualChamber:
     """A `ThermalChamber` whose controller is a person; limits in °C."""
 
     def __init__(
-        self,
-        name: str,
-        person: Person,
-        *,
-        minimum_c: float,
-        maximum_c: float,
-        safe_c: float | None = None,
+        self, name: str, person: Person, *, minimum_c: float, maximum_c: float, safe_c: float | None = None
     ) -> None:
         self.name = name
         self.asks_person = True

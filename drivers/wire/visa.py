@@ -383,12 +383,7 @@ class ProvedSession:
     """
 
     def __init__(
-        self,
-        session: MessageSession,
-        clock: Clock,
-        prove: Callable[[], object],
-        *,
-        write_gap_s: float = 0.0,
+        self, session: MessageSession, clock: Clock, prove: Callable[[], object], *, write_gap_s: float = 0.0
     ) -> None:
         self._session = session
         self._clock = clock

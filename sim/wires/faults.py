@@ -64,7 +64,6 @@ class Switchable(Protocol):
 
     def power_cycle(self) -> None:
         """Switch off and on."""
-        ...
 
 
 @runtime_checkable
@@ -73,7 +72,6 @@ class HasLocalKey(Protocol):
 
     def press_local(self) -> None:
         """Press it."""
-        ...
 
 
 @runtime_checkable
@@ -82,7 +80,6 @@ class HasErrorQueue(Protocol):
 
     def report(self, number: int) -> None:
         """Put an error into it."""
-        ...
 
 
 @runtime_checkable
@@ -99,7 +96,6 @@ class HasCycle(Protocol):
     @property
     def cycle(self) -> MeasuringCycle:
         """What it measures in."""
-        ...
 
 
 _NEEDS: Final[dict[FaultKind, tuple[type, str]]] = {
@@ -247,12 +243,7 @@ class FaultyInstrument:
     """
 
     def __init__(
-        self,
-        dialect: Dialect,
-        name: str,
-        seed: int,
-        faults: Sequence[Fault] = (),
-        clock: Clock | None = None,
+        self, dialect: Dialect, name: str, seed: int, faults: Sequence[Fault] = (), clock: Clock | None = None
     ) -> None:
         self.dialect = dialect
         self._measures = dialect if isinstance(dialect, HasCycle) else None

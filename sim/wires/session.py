@@ -35,7 +35,6 @@ class Busy(Protocol):
 
     def has_work(self) -> bool:
         """Whether it works, or has input to work on."""
-        ...
 
 
 class Traffic:
@@ -131,15 +130,12 @@ class Dialect(Protocol):
 
         While it waits it asks `interrupted` whether a device clear has come in, and then gives up.
         """
-        ...
 
     def device_clear(self) -> None:
         """Stop what is under way."""
-        ...
 
     def input_overflow(self) -> None:
         """Take note that a message was too long to be kept."""
-        ...
 
 
 class PlainDialect:
@@ -161,7 +157,6 @@ class Forsakable(Protocol):
 
         What was begun for one that has left is given up, also while another's message waits for it.
         """
-        ...
 
 
 @runtime_checkable
@@ -171,7 +166,6 @@ class HasLineEnds(Protocol):
     @property
     def line_ends(self) -> LineEnds:
         """How they end."""
-        ...
 
 
 def line_ends_of(dialect: Dialect) -> LineEnds:
@@ -189,23 +183,18 @@ class Transport(Protocol):
 
     def wait(self) -> None:
         """Wait until there is input, or the wire is closed."""
-        ...
 
     def receive(self) -> bytes:
         """Return the input that is there; empty when the wire is closed."""
-        ...
 
     def has_input(self) -> bool:
         """Whether `receive` would return at once."""
-        ...
 
     def send(self, data: bytes, interrupted: Callable[[], bool]) -> None:
         """Send all of `data`, or give the rest up when the client takes none and `interrupted` is true."""
-        ...
 
     def close(self) -> None:
         """Close the wire, and wake whoever waits on it."""
-        ...
 
 
 @dataclass(frozen=True)

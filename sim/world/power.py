@@ -149,11 +149,7 @@ class Power:
     """
 
     def __init__(
-        self,
-        settings: PowerSettings,
-        now_s: float,
-        block_c: Callable[[float], float],
-        lock: threading.RLock,
+        self, settings: PowerSettings, now_s: float, block_c: Callable[[float], float], lock: threading.RLock
     ) -> None:
         self.settings = settings
         self._lock = lock

@@ -237,11 +237,7 @@ def test_limits_are_checked_before_anything_is_sent(settings: VoltmeterSettings,
     ("command", "reply", "named"),
     [
         ("ROUT:SCAN?", "#210(@101,102)", "ROUT:SCAN? answers #210(@101,102), not #214(@101,102,103)"),
-        (
-            f"VOLT:DC:NPLC? {LIST}",
-            "+1.00000000E+01,+1.00000000E+00,+1.00000000E+01",
-            "not 10, 10, 10",
-        ),
+        (f"VOLT:DC:NPLC? {LIST}", "+1.00000000E+01,+1.00000000E+00,+1.00000000E+01", "not 10, 10, 10"),
         (f"INP:IMP:AUTO? {LIST}", "1,0,1", "not 1, 1, 1"),
         ("FORM:READ:TIME?", "1", "FORM:READ:TIME? answers 1, not 0"),
         ("TRIG:SOUR?", "TIM", "TRIG:SOUR? answers TIM, not IMM"),

@@ -24,13 +24,7 @@ from tests.support.simulated_stand import a_world, served
 
 LIMITS = ChamberLimits(-40.0, 85.0, band_c=2.0)
 OPEN: Pairs = [("IDEN?", "8800 V3.12")]
-SET: Pairs = [
-    ("MODE?", "2"),
-    ("SETP1,25.0", None),
-    ("SETP1?", "25.000"),
-    ("RUNM", None),
-    ("MODE?", "16"),
-]
+SET: Pairs = [("MODE?", "2"), ("SETP1,25.0", None), ("SETP1?", "25.000"), ("RUNM", None), ("MODE?", "16")]
 READ: Pairs = [("MODE?", "16"), ("SETP1?", "25.000"), ("PVAR1?", "25.400")]
 
 

@@ -164,10 +164,7 @@ def test_a_late_reply_of_an_earlier_command_is_not_taken_for_this_one() -> None:
 def test_a_garbled_reply_to_the_move_itself_ends_it_with_a_stop() -> None:
     garbled = swapped(MOVE, "/1 1 12 move abs 384000", "@01 1 12 OK BU")
     script = ScriptedSession(
-        OPEN,
-        PREPARE,
-        until(garbled, "/1 1 12 move abs 384000"),
-        [("/1 1 13 stop", "@01 1 13 OK BUSY NI 0")],
+        OPEN, PREPARE, until(garbled, "/1 1 12 move abs 384000"), [("/1 1 13 stop", "@01 1 13 OK BUSY NI 0")]
     )
     h = head(script)
     h.open()

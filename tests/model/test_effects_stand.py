@@ -99,11 +99,7 @@ HOURS = TIME_S[:, None] / 3600
     [
         ("voltmeter_nonlinearity", {"q2": 8e-6, "q3": -5e-6}, 8e-6 * (U / 2.5) ** 2 - 5e-6 * (U / 2.5) ** 3),
         ("voltmeter_drift", {"rate": 15e-6 / 3600}, 15e-6 * HOURS + 0 * U),
-        (
-            "voltmeter_warm_up",
-            {"A": 1e-4, "tau": 1200.0},
-            1e-4 * np.exp(-3 * HOURS) + 0 * U,
-        ),
+        ("voltmeter_warm_up", {"A": 1e-4, "tau": 1200.0}, 1e-4 * np.exp(-3 * HOURS) + 0 * U),
         ("range_offset", {"offset": 40e-6, "gain": 2e-5}, np.where(abs(U) < 1.2, 40e-6 + 2e-5 * U, 0)),
         ("voltmeter_gain", {"gain": 3e-5}, 3e-5 * U),
         ("voltmeter_offset", {"offset": 5e-5}, np.full((36, 3), 5e-5)),

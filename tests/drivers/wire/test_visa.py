@@ -368,10 +368,7 @@ def test_close_ends_a_wait_in_another_thread() -> None:
     asked = threading.Event()
     raised: list[BaseException] = []
 
-    with (
-        served(lambda connection, line: asked.set()) as resource,
-        session(resource, SHORT_S) as s,
-    ):
+    with served(lambda connection, line: asked.set()) as resource, session(resource, SHORT_S) as s:
         s.open()
 
         def wait() -> None:

@@ -171,10 +171,7 @@ def test_control_c_ends_a_long_reading_on_a_clock_that_takes_its_time() -> None:
             threading.Event().wait(0.001)
 
     world = World(WorldSettings(BLOCK, MODEL, {}, 5), Slow())
-    with (
-        SimulatedBench(world, {"v": a_34401a("x")}) as bench,
-        Client(bench.servers["v"].port) as client,
-    ):
+    with SimulatedBench(world, {"v": a_34401a("x")}) as bench, Client(bench.servers["v"].port) as client:
         client.write(b"VOLT:NPLC 100;:READ?\n")
         assert entered.wait(PATIENCE_S)
         client.write(b"\x03")

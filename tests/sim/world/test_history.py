@@ -49,12 +49,7 @@ def run(world: World, read: bool = True) -> tuple[np.ndarray, Conditions, np.nda
             setting.append(world.true_angle_rad - np.radians(angle_deg))
     label, series, angle_deg, direction, time_s, block_c = (list(c) for c in zip(*rows, strict=True))
     conditions = Conditions.of(
-        label,
-        np.radians(angle_deg),
-        series=series,
-        direction=direction,
-        time_s=time_s,
-        temperature_c=block_c,
+        label, np.radians(angle_deg), series=series, direction=direction, time_s=time_s, temperature_c=block_c
     )
     return np.array(signals), conditions, np.array(list(stand.values())), np.array(setting)
 
