@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from bench.readings.csv import ReadingsError as ReadingsError
     from bench.readings.table import Readings as Readings
     from bench.results.budget import BudgetResult as BudgetResult
+    from bench.results.control_chart import CheckBlockChart as CheckBlockChart
     from bench.run.events import RecordError as RecordError
     from bench.services.budget import budget as budget
     from bench.services.calibration import CalibrationResult as CalibrationResult
     from bench.services.calibration import Coefficient as Coefficient
-    from bench.services.check_block import CheckBlockChart as CheckBlockChart
-    from bench.services.check_runs import chart as chart
+    from bench.services.check_block import chart as chart
     from bench.services.confirmation import ConfirmationResult as ConfirmationResult
     from bench.services.diagnosis import DiagnosisResult as DiagnosisResult
     from bench.services.errors import Refused as Refused
@@ -38,12 +38,12 @@ if TYPE_CHECKING:
     from bench.services.face import confirm as confirm
     from bench.services.face import diagnose as diagnose
     from bench.services.face import dry_run as dry_run
-    from bench.services.face import learn as learn
     from bench.services.face import load_bench as load_bench
     from bench.services.face import read_readings as read_readings
     from bench.services.face import verify as verify
     from bench.services.free_diagnosis import FreeDiagnosisResult as FreeDiagnosisResult
     from bench.services.learning import LearningResult as LearningResult
+    from bench.services.learning import learn as learn
     from bench.services.verification import VerificationResult as VerificationResult
 
 _HOMES: Final = {
@@ -51,16 +51,16 @@ _HOMES: Final = {
     "bench.results.budget": ("BudgetResult",),
     "bench.services.budget": ("budget",),
     "bench.services.calibration": ("CalibrationResult", "Coefficient"),
-    "bench.services.check_runs": ("chart",),
-    "bench.services.check_block": ("CheckBlockChart",),
+    "bench.results.control_chart": ("CheckBlockChart",),
+    "bench.services.check_block": ("chart",),
     "bench.services.confirmation": ("ConfirmationResult",),
     "bench.services.diagnosis": ("DiagnosisResult",),
     "bench.services.errors": ("Refused",),
     "bench.services.face": (
-        "DryRun", "calibrate", "confirm", "diagnose", "dry_run", "learn", "load_bench", "read_readings", "verify",
+        "DryRun", "calibrate", "confirm", "diagnose", "dry_run", "load_bench", "read_readings", "verify",
     ),
     "bench.services.free_diagnosis": ("FreeDiagnosisResult",),
-    "bench.services.learning": ("LearningResult",),
+    "bench.services.learning": ("LearningResult", "learn"),
     "bench.services.verification": ("VerificationResult",),
     "bench.base.yaml_files": ("FileMistakes",),
     "bench.config.bench_file.file": ("BenchFile",),

@@ -11,23 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import and_, func, select
 
-from bench.base.arrays import Floats, Mask, u_of
+from bench.base.arrays import Floats, Mask
 from bench.calibration.result import CalibrationError
 from bench.catalogue.questions import condition_of
 from bench.catalogue.store import CALIBRATIONS, RUNS, Catalogue
-from bench.history.comparison import Joint, Snapshot, joint_covariances, joint_of
+from bench.history.comparison import Snapshot
 from bench.history.equivalence import (
     STANDARD_GRAVITY,
-    Equivalence,
+    BenchComparison,
     Measured,
-    Pair,
-    Participants,
-    Together,
     coded,
-    equivalence,
-    pairs,
+    compare_benches,
     to_standard_gravity,
-    together,
 )
 from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import snapshots_in
@@ -202,81 +197,7 @@ def _regular(table: CoefficientTable) -> Mask:
     return np.asarray(np.all(variance > 0, axis=1) & np.all(np.isfinite(variance), axis=1))
 
 
-@dataclass(frozen=True)
-class Compared:
-    """Benches against one another, for each of the twelve coefficients.
-
-    `benches` and `units` are those that take part; `alone` are benches that share no unit with another. `together`
-    judges the degrees of equivalence of each bench in all twelve at once, `pairs_together` the pairs.
-    """
-
-    benches: tuple[str, ...]
-    units: tuple[str, ...]
-    alone: tuple[str, ...]
-    found: tuple[Equivalence, ...]
-    pairs: tuple[tuple[Pair, ...], ...]
-    together: tuple[Together, ...]
-    pairs_together: tuple[Together, ...]
-    calibrations: int
-    signal: str
-    simulated: bool
-    notes: tuple[str, ...]
-
-    @property
-    def apart(self) -> tuple[tuple[str, str, float], ...]:
-        """Bench, coefficient and E_n of degrees of equivalence beyond U (k = 2), the largest first."""
-        rows = [
-            (bench, name, float(en))
-            for name, one in zip(COEFFICIENTS, self.found, strict=True)
-            for bench, en in zip(self.benches, one.en, strict=True)
-            if en > 1.0
-        ]
-        return tuple(sorted(rows, key=lambda row: -row[2]))
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "benches": list(self.benches),
-            "units": list(self.units),
-            "alone": list(self.alone),
-            "calibrations": self.calibrations,
-            "signal": self.signal,
-            "per_g_m_s2": STANDARD_GRAVITY,
-            "simulated": self.simulated,
-            "coefficients": {
-                name: {
-                    **one.to_json(),
-                    "degrees_of_equivalence": {
-                        bench: {"d": float(d), "u": float(u), "U": 2.0 * float(u), "en": float(en)}
-                        for bench, d, u, en in zip(
-                            self.benches, one.degree, one.u_degree, one.en, strict=True
-                        )
-                    },
-                    "pairs": [
-                        {
-                            "first": self.benches[pair.first], "second": self.benches[pair.second],
-                            "units": pair.units, "difference": pair.difference, "u": pair.u, "en": pair.en,
-                        }
-                        for pair in both
-                    ],
-                }
-                for name, one, both in zip(COEFFICIENTS, self.found, self.pairs, strict=True)
-            },
-            "together": {
-                "benches": {
-                    bench: one.to_json() for bench, one in zip(self.benches, self.together, strict=True)
-                },
-                "pairs": [
-                    {"first": self.benches[pair.first], "second": self.benches[pair.second], **one.to_json()}
-                    for pair, one in zip(self.pairs[0], self.pairs_together, strict=True)
-                ],
-            },
-            "apart": [{"bench": b, "coefficient": c, "en": en} for b, c, en in self.apart],
-            "notes": list(self.notes),
-        }  # fmt: skip
-
-
-def compared(table: CoefficientTable, method: str | None = None) -> Compared:
+def compared(table: CoefficientTable, method: str | None = None) -> BenchComparison:
     """Hold benches against one another on the units that several of them measured.
 
     What calibrations have in common (meters, K2 and K3 of a block) is read from the results in their folders.
@@ -300,52 +221,9 @@ def compared(table: CoefficientTable, method: str | None = None) -> Compared:
         _snapshot(Path(path), block).per(STANDARD_GRAVITY)
         for path, block in zip(paths[rows], measured.unit[rows], strict=True)
     ]
-    covariances = joint_covariances(there)
-    (names, of_unit), (stands, of_bench) = coded(measured.unit[rows]), coded(measured.bench[rows])
-    values = np.array([one.vector for one in there])
-    when = measured.when[rows]
-    days = int((when.max() - when.min()) / np.timedelta64(1, "D"))
-    drifted = (
-        f"over {days} days: what a unit changed by between its calibrations counts as a difference of benches",
-    )
-    taking = [Participants(values[:, k], covariances[k], of_unit, of_bench) for k in range(len(COEFFICIENTS))]
-    found = tuple(equivalence(one, method) for one in taking)
-    by_pair = tuple(pairs(one) for one in taking)
-    joint = joint_of(there)
-    return Compared(
-        benches=tuple(stands.tolist()),
-        units=tuple(names.tolist()),
-        alone=tuple(sorted(set(benches.tolist()) - set(stands.tolist()))),
-        found=found,
-        pairs=by_pair,
-        together=_benches_together(taking, found, joint),
-        pairs_together=_pairs_together(by_pair, joint),
-        calibrations=len(rows),
-        signal=measured.signal,
-        simulated=measured.simulated,
-        notes=(*notes, *drifted) if days else notes,
-    )
-
-
-def _benches_together(
-    taking: Sequence[Participants], found: Sequence[Equivalence], joint: Joint
-) -> tuple[Together, ...]:
-    """Judge the degrees of equivalence of each bench, in all coefficients."""
-    degrees = np.stack([one.degree for one in found], axis=1)
-    u = np.stack([one.u_degree for one in found], axis=1)
-    maps = np.stack([one.map for one in found], axis=1)
-    own = np.stack(
-        [u_of(one.map @ of.covariance @ one.map.T) for of, one in zip(taking, found, strict=True)], axis=1
-    )
-    return together(degrees, u, np.array([joint.of_sums(one) for one in maps]), own)
-
-
-def _pairs_together(by_coefficient: Sequence[Sequence[Pair]], joint: Joint) -> tuple[Together, ...]:
-    """Judge what the benches of each pair differ by, in all coefficients."""
-    each = list(zip(*by_coefficient, strict=True))
-    u = np.array([[pair.u for pair in one] for one in each])
-    errors = np.array([joint.of_sums(np.array([pair.map for pair in one])) for one in each])
-    return together(np.array([[pair.difference for pair in one] for one in each]), u, errors, u)
+    found = compare_benches(measured.of(rows), there, method)
+    alone = tuple(sorted(set(benches.tolist()) - set(found.benches)))
+    return replace(found, alone=alone, notes=(*notes, *found.notes))
 
 
 def _snapshot(folder: Path, block: str) -> Snapshot:

@@ -59,6 +59,7 @@ COMMANDS: Final = {
 MODULES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("check", "init", "budget", "require", "plan-points"), "planning"),
     **dict.fromkeys(("run", "resume", "abort", "control"), "measure"),
+    **dict.fromkeys(("chart", "compare", "learn", "stability"), "history"),
 }
 """The module of this room that holds a command, where it is not the one of its name."""
 

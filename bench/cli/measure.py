@@ -110,9 +110,7 @@ def _print_chart(found: Conclusion, out: Console) -> None:
         out.print(f"the run is finished; no control chart: {found.no_chart}")
     if found.chart is None:
         return
-    from bench.cli.chart import print_chart
-
-    print_chart(found.chart, out)
+    found.chart.print_on(out)
     folder = found.run.folder
     if found.chart_unwritten:
         printing.notes_aside([f"{found.chart_unwritten} is not written; use --out DIR"])

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy import special
 
 from bench.base.arrays import Floats, Ints, Labels, rms, u_of
-from bench.base.numbers import finite_or_none
 from bench.calibration.result import CalibrationError
 from bench.history.equivalence import Measured, coded
 from bench.model.geometry import COEFFICIENTS
@@ -91,16 +90,6 @@ class Size:
         """Whether it is there beyond chance."""
         return self.p_all_looks < SHOWN_P
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        asked = not np.isnan(self.p_all_looks)
-        return {
-            "value": self.value,
-            "u": finite_or_none(self.u),
-            "at_most": finite_or_none(self.most),
-            **({"p_all_looks": self.p_all_looks, "shown": self.shown} if asked else {}),
-        }
-
 
 @dataclass(frozen=True)
 class Sizes:
@@ -134,24 +123,6 @@ class Sizes:
         whole = sum(squares.values())
         return {name: square / whole for name, square in squares.items()}
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "unit": self.unit.to_json(),
-            "bench": self.bench.to_json(),
-            "excess": self.excess.to_json(),
-            "stated_u_rms": self.stated,
-            "stated_of_meters_rms": self.meters,
-            "shares_of_variance": self.shares,
-            "allotment": {
-                "chi2": self.allotment.chi2,
-                "dof": self.allotment.dof,
-                "p": self.allotment.p,
-                "by_chance": self.by_chance,
-            },
-            "scatter_of_repeats": {"reduced_chi2": finite_or_none(self.scatter), "dof": self.scatter_dof},
-        }
-
 
 @dataclass(frozen=True)
 class Apart:
@@ -162,13 +133,6 @@ class Apart:
     effect: float
     u: float
     p_all_looks: float
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "name": self.name, "coefficient": self.coefficient, "effect": self.effect, "u": self.u,
-            "p_all_looks": self.p_all_looks,
-        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -219,28 +183,6 @@ class BenchOrBlock:
         ]
         more = f", in {', '.join(whole)} more than blocks of a type do" if whole else ""
         return f"both: benches differ in {', '.join(shown)}{more}{named}"
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        effects = {}
-        for b, bench in enumerate(self.benches):
-            rows = zip(COEFFICIENTS, self.effect[b], self.u[b], self.p_all_looks[b], strict=True)
-            effects[bench] = None if np.isnan(self.effect[b, 0]) else {
-                name: {"effect": float(e), "u": float(u), "p_all_looks": float(p), "shown": bool(p < SHOWN_P)}
-                for name, e, u, p in rows
-            }  # fmt: skip
-        return {
-            **self.counts,
-            "signal": self.signal,
-            "simulated": self.simulated,
-            "connected": [list(one) for one in self.connected],
-            "coefficients": {n: s.to_json() for n, s in zip(COEFFICIENTS, self.sizes, strict=True)},
-            "benches_effects": effects,
-            "benches_apart": [one.to_json() for one in self.benches_apart],
-            "units_apart": [one.to_json() for one in self.units_apart],
-            "answer": self.answer,
-            "notes": list(self.notes),
-        }
 
 
 def bench_or_block(measured: Measured) -> BenchOrBlock:

@@ -11,10 +11,9 @@ import numpy as np
 from scipy import optimize, special, stats
 
 from bench.base.arrays import Floats, Ints
-from bench.base.numbers import finite_or_none
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
-from bench.history.equivalence import STANDARD_GRAVITY, Measured, coded
+from bench.history.equivalence import Measured, coded
 from bench.model.geometry import COEFFICIENTS
 from bench.stats.crossed_effects import Crossing
 
@@ -412,40 +411,6 @@ class Capability:
     def U(self) -> Floats:  # noqa: N802 - the symbol of the field
         """Expanded uncertainty, k = 2, (12,)."""
         return COVERAGE_FACTOR * self.u
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        rows = zip(
-            COEFFICIENTS, self.U, self.u, self.stated, self.stated_most, self.apart, self.below, strict=True
-        )
-        return {
-            "quantity": "coefficients of a triaxial accelerometer block, by gravity",
-            "device": "the best existing: the blocks of the history",
-            "k": COVERAGE_FACTOR,
-            "quantile": self.quantile,
-            "signal": self.signal,
-            "per_g_m_s2": STANDARD_GRAVITY,
-            "simulated": self.simulated,
-            **self.counts,
-            "coefficients": {
-                name: {
-                    "U": float(U), "u": float(u),
-                    "stated": {"value": float(own), "at_most": finite_or_none(float(own_most))},
-                    "scatter_over_time": {
-                        "value": one.scatter, "at_least": one.scatter_least,
-                        "at_most": finite_or_none(one.scatter_most),
-                    },
-                    "between_benches": None if np.isnan(one.bench) else
-                    {"value": one.bench, "at_most": finite_or_none(one.bench_most)},
-                    "drift_of_units": {
-                        "rate": one.rate, "walk": one.walk, "p": one.p, "taken_out": one.shown
-                    },
-                    "calibrations_that_state_less": int(less),
-                }
-                for name, U, u, own, own_most, one, less in rows
-            },
-            "notes": list(self.notes),
-        }  # fmt: skip
 
 
 def capability(measured: Measured, quantile: float = EVERYDAY) -> Capability:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from itertools import combinations
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy import special
@@ -170,19 +170,6 @@ class Comparison:
         """Whether any coefficient changed, or all together did."""
         return self.p_constant < JOINT_P or any(bool(np.any(c.changed)) for c in self.changes)
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the result."""
-        return {
-            "first": _snapshot_json(self.first),
-            "unit": self.first.unit,
-            "g_m_s2": self.first.g_m_s2,
-            "compared": [_changes_json(changes) for changes in self.changes],
-            "p_constant": self.p_constant,
-            "drift": self.drift and _drift_json(self.drift),
-            "changed": self.changed,
-            "notes": list(self.notes),
-        }
-
 
 def compare(snapshots: Sequence[Snapshot]) -> Comparison:
     """Compare calibrations of one block, the earliest being the reference where all have a date.
@@ -335,44 +322,6 @@ def _drifted(first: Snapshot, later: Snapshot) -> float:
 def _one_and_the_same(a: Snapshot, b: Snapshot) -> bool:
     u = np.sqrt(np.diag(a.covariance) + np.diag(b.covariance))
     return bool(np.all(np.abs(a.vector - b.vector) <= ALIKE * u))
-
-
-def _snapshot_json(snapshot: Snapshot) -> dict[str, Any]:
-    when = snapshot.when.isoformat() if snapshot.when else None
-    return {"name": snapshot.name, "made_at": when, "block": snapshot.block or None}
-
-
-def _changes_json(changes: Changes) -> dict[str, Any]:
-    columns = (changes.difference, changes.u, changes.en, changes.p_all_looks, changes.changed)
-    return {
-        **_snapshot_json(changes.later),
-        "coefficients": {
-            name: {
-                "difference": float(d),
-                "u": float(u),
-                "en": float(en),
-                "p_all_looks": float(p),
-                "changed": bool(changed),
-            }
-            for name, d, u, en, p, changed in zip(COEFFICIENTS, *columns, strict=True)
-        },
-        "chi2": changes.chi2,
-        "dof": len(COEFFICIENTS),
-        "p": changes.p,
-    }
-
-
-def _drift_json(drift: Drift) -> dict[str, Any]:
-    rows = zip(COEFFICIENTS, drift.per_year, drift.u, drift.p_all_looks, drift.shown, strict=True)
-    return {
-        "per_year": {
-            name: {"value": float(value), "u": float(u), "p_all_looks": float(p), "shown": bool(shown)}
-            for name, value, u, p, shown in rows
-        },
-        "chi2": drift.chi2,
-        "dof": drift.dof,
-        "p": drift.p,
-    }
 
 
 SECONDS_PER_DAY: Final = 86400.0

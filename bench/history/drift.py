@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from scipy import special
 
 from bench.base.arrays import Floats, Ints, Mask
-from bench.base.numbers import finite_or_none
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
 from bench.history.comparison import LEAST_FOR_DRIFT, LEAST_SPAN, SECONDS_PER_YEAR
-from bench.model.geometry import COEFFICIENTS
+from bench.history.equivalence import Measured
 
 Dates = NDArray[np.datetime64]
 
@@ -81,29 +80,6 @@ class UnitDrift:
         shape = (*days.shape, len(self.rate))
         return value.reshape(shape), np.sqrt(variance + self.common**2).reshape(shape)
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the result: rates and sizes per year by coefficient."""
-        rows = zip(
-            COEFFICIENTS, self.rate, self.u_rate, self.p_all_looks, self.shown, self.between, self.between_most,
-            self.walk, self.walk_most, strict=True,
-        )  # fmt: skip
-        return {
-            "calibrations": self.count,
-            "first": str(self.first.astype("datetime64[D]")),
-            "last": str(self.last.astype("datetime64[D]")),
-            "per_year": {
-                name: {
-                    "value": float(rate),
-                    "u": float(u),
-                    "p_all_looks": finite_or_none(float(p)),
-                    "shown": bool(shown),
-                    "between_calibrations": {"value": float(between), "at_most": float(most)},
-                    "random_walk": {"value": float(walk), "at_most": float(walk_most)},
-                }
-                for name, rate, u, p, shown, between, most, walk, walk_most in rows
-            },
-        }
-
 
 @dataclass(frozen=True)
 class States:
@@ -155,6 +131,42 @@ class States:
         """Mean and variance (12,) of the rate, per year."""
         mean, variance = self._foretold
         return mean[1], variance[2]
+
+
+@dataclass(frozen=True)
+class OfUnit:
+    """The drift of a unit on its benches, with notes on what else may pass for one."""
+
+    unit: str
+    signal: str
+    simulated: bool
+    drift: UnitDrift
+    notes: tuple[str, ...]
+
+
+def drift_of_unit(measured: Measured) -> OfUnit:
+    """Return the drift of the one unit of a table. Raises `CalibrationError` for several, and as `unit_drift`."""
+    units, benches = (sorted(set(labels.tolist())) for labels in (measured.unit, measured.bench))
+    if len(units) > 1:
+        raise CalibrationError(
+            f"a drift is of one unit; the question names {len(units)}: add unit=…, such as unit='{units[0]}'"
+        )
+    notes: tuple[str, ...] = ()
+    if len(benches) > 1:
+        notes = (
+            f"measured on {', '.join(benches)}: differences between benches pass for a drift or scatter",
+        )
+    alike = np.sqrt(np.min(measured.meters**2, axis=0)) if len(benches) == 1 else None
+    found = unit_drift(measured.when, measured.vector, measured.covariance, alike)
+    return OfUnit(units[0], measured.signal, measured.simulated, found, notes)
+
+
+def day_of(text: str) -> np.datetime64:
+    """Return the day that was asked for. Raises `CalibrationError` for a text that is none."""
+    try:
+        return np.datetime64(text, "s")
+    except ValueError:
+        raise CalibrationError(f"--at: expected a date such as 2027-06-01, got {text!r}") from None
 
 
 def unit_drift(when: Dates, vector: Floats, covariance: Floats, common: Floats | None = None) -> UnitDrift:

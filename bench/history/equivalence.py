@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize, special
 
 from bench.base.arrays import Floats, Ints, Labels, Mask, u_of
-from bench.base.numbers import finite_or_none
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
+from bench.history.comparison import Joint, Snapshot, joint_covariances, joint_of
 from bench.model.geometry import COEFFICIENTS
 from bench.stats import holm
 
@@ -183,18 +183,6 @@ class Equivalence:
         """|d| over U(d), k = 2, (B,)."""
         return np.asarray(np.abs(self.degree) / (COVERAGE_FACTOR * self.u_degree))
 
-    def to_json(self) -> dict[str, Any]:
-        """Return what belongs to all benches."""
-        return {
-            "method": self.method,
-            "dark": finite_or_none(self.dark),
-            "chi2": self.chi2,
-            "dof": self.dof,
-            "p": self.p,
-            "consistent": self.consistent,
-            "birge": self.birge,
-        }
-
 
 def equivalence(of: Participants, method: str | None = None) -> Equivalence:
     """Return reference values and degrees of equivalence by a method, or by Cox's choice where none is named.
@@ -327,12 +315,6 @@ class Together:
         """Whether the benches differ beyond chance."""
         return self.p_all_looks < APART_P
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "chi2": self.chi2, "dof": self.dof, "p": self.p, "p_all_looks": self.p_all_looks, "apart": self.apart
-        }  # fmt: skip
-
 
 def together(differences: Floats, u: Floats, errors: Floats, of_errors: Floats) -> tuple[Together, ...]:
     """Judge m vectors of differences (m, 12) with standard uncertainties `u` (m, 12).
@@ -351,3 +333,89 @@ def together(differences: Floats, u: Floats, errors: Floats, of_errors: Floats) 
     p = np.asarray(special.chdtrc(dof, np.array(chi2)), dtype=np.float64)
     rows: Sequence[tuple[float, float, float]] = list(zip(chi2, p.tolist(), holm(p).tolist(), strict=True))
     return tuple(Together(one, dof, alone, looks) for one, alone, looks in rows)
+
+
+@dataclass(frozen=True)
+class BenchComparison:
+    """Benches against one another, for each of the twelve coefficients.
+
+    `benches` and `units` are those that take part; `alone` are benches that share no unit with another. `together`
+    judges the degrees of equivalence of each bench in all twelve at once, `pairs_together` the pairs.
+    """
+
+    benches: tuple[str, ...]
+    units: tuple[str, ...]
+    alone: tuple[str, ...]
+    found: tuple[Equivalence, ...]
+    pairs: tuple[tuple[Pair, ...], ...]
+    together: tuple[Together, ...]
+    pairs_together: tuple[Together, ...]
+    calibrations: int
+    signal: str
+    simulated: bool
+    notes: tuple[str, ...]
+
+    @property
+    def apart(self) -> tuple[tuple[str, str, float], ...]:
+        """Bench, coefficient and E_n of degrees of equivalence beyond U (k = 2), the largest first."""
+        rows = [
+            (bench, name, float(en))
+            for name, one in zip(COEFFICIENTS, self.found, strict=True)
+            for bench, en in zip(self.benches, one.en, strict=True)
+            if en > 1.0
+        ]
+        return tuple(sorted(rows, key=lambda row: -row[2]))
+
+
+def compare_benches(
+    measured: Measured, there: Sequence[Snapshot], method: str | None = None
+) -> BenchComparison:
+    """Hold benches against one another by calibrations of common units, `there` what was found in each.
+
+    The snapshots are per g of `STANDARD_GRAVITY`; they know what calibrations have in common (meters, K2 and K3 of
+    a block). Raises `CalibrationError` where nothing joins the benches.
+    """
+    covariances, joint = joint_covariances(there), joint_of(there)
+    (units, unit), (benches, bench) = coded(measured.unit), coded(measured.bench)
+    values = np.array([one.vector for one in there])
+    taking = [Participants(values[:, k], covariances[k], unit, bench) for k in range(len(COEFFICIENTS))]
+    found = tuple(equivalence(one, method) for one in taking)
+    by_pair = tuple(pairs(one) for one in taking)
+    days = int((measured.when.max() - measured.when.min()) / np.timedelta64(1, "D"))
+    drifted = (
+        f"over {days} days: what a unit changed by between its calibrations counts as a difference of benches"
+    )
+    return BenchComparison(
+        benches=tuple(benches.tolist()),
+        units=tuple(units.tolist()),
+        alone=(),
+        found=found,
+        pairs=by_pair,
+        together=_benches_together(taking, found, joint),
+        pairs_together=_pairs_together(by_pair, joint),
+        calibrations=len(measured),
+        signal=measured.signal,
+        simulated=measured.simulated,
+        notes=(drifted,) if days else (),
+    )
+
+
+def _benches_together(
+    taking: Sequence[Participants], found: Sequence[Equivalence], joint: Joint
+) -> tuple[Together, ...]:
+    """Judge the degrees of equivalence of each bench, in all coefficients."""
+    degrees = np.stack([one.degree for one in found], axis=1)
+    u = np.stack([one.u_degree for one in found], axis=1)
+    maps = np.stack([one.map for one in found], axis=1)
+    own = np.stack(
+        [u_of(one.map @ of.covariance @ one.map.T) for of, one in zip(taking, found, strict=True)], axis=1
+    )
+    return together(degrees, u, np.array([joint.of_sums(one) for one in maps]), own)
+
+
+def _pairs_together(by_coefficient: Sequence[Sequence[Pair]], joint: Joint) -> tuple[Together, ...]:
+    """Judge what the benches of each pair differ by, in all coefficients."""
+    each = list(zip(*by_coefficient, strict=True))
+    u = np.array([[pair.u for pair in one] for one in each])
+    errors = np.array([joint.of_sums(np.array([pair.map for pair in one])) for one in each])
+    return together(np.array([[pair.difference for pair in one] for one in each]), u, errors, u)

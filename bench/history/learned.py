@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy import linalg, sparse, special
 from scipy.sparse import csgraph
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints
-from bench.base.numbers import finite_or_none
 from bench.calibration.known import KnownStand
 
 NONE: Final = 1e-6
@@ -40,12 +39,6 @@ class Size:
     unit: str
     dof: float
     told: bool = True
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "value": self.value, "u": self.u, "unit": self.unit, "dof": finite_or_none(self.dof), "told": self.told,
-        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -99,10 +92,6 @@ class Contradiction:
     def sentence(self) -> str:
         """Say it in words."""
         return f"{self.run} contradicts the others: {self.what} is {self.size:.3g} times what they lead to expect"
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {"run": self.run, "what": self.what, "size": self.size, "p": self.p, "sentence": self.sentence}
 
 
 @dataclass(frozen=True)
@@ -187,21 +176,6 @@ class Learned:
         if isinstance(self.meters, str):
             return [*told, *NEVER, *filter(None, [self.meters])]
         return [*told, *NEVER, *self.meters.not_told()]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "runs": list(self.runs),
-            "contradicting": [one.to_json() for one in self.contradicting],
-            "sizes": {size.name: size.to_json() for size in self.sizes()},
-            "means": {"order": list(self.names), "covariance_rad2": self.covariance.tolist()},
-            "variances": {
-                "order": [v.name for v in self.variances],
-                "covariance": self.variances_covariance.tolist(),
-            },
-            "meters": None if isinstance(self.meters, str) else self.meters.to_json(),
-            "not_identified": self.not_identified(),
-        }
 
 
 def _u(size: float, dof: float) -> float:
@@ -339,23 +313,6 @@ class MeterDifferences:
                 f"differences between voltmeters {', '.join(groups)}: no channel of a block met them both; a run "
                 "of one block with them exchanged tells these, too"
             )
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form: SI, covariances about the mean of each group."""
-        return {
-            "meters": list(self.meters),
-            "group": list(self.group),
-            "runs": list(self.runs),
-            **{
-                name: {
-                    "value": c.values.tolist(),
-                    "covariance": c.covariance.tolist(),
-                    "dof": [finite_or_none(nu) for nu in c.freedom.tolist()],
-                    "between_runs": c.between,
-                }
-                for name, c in (("gain", self.gain), ("offset_v", self.zero))
-            },
-        }
 
 
 def meter_differences(runs: Sequence[MeterRun]) -> MeterDifferences | str:

@@ -9,7 +9,7 @@ Sources: J. Schäfer, K. Strimmer, Stat. Appl. Genet. Mol. Biol. 4 (2005) 32 (sh
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy import special
@@ -55,28 +55,6 @@ class Prior:
         """Return mean (12,) and covariance (12, 12) with scale factors per a local g."""
         factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / STANDARD_GRAVITY, 1.0)
         return self.mean * factor, self.covariance * np.outer(factor, factor)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        rows = zip(COEFFICIENTS, self.mean, u_of(self.covariance), self.between, self.mean_u, strict=True)
-        return {
-            "type": self.kind,
-            "signal": self.signal,
-            "per_g_m_s2": STANDARD_GRAVITY,
-            "simulated": self.simulated,
-            "units": list(self.units),
-            "benches": list(self.benches),
-            "calibrations": self.calibrations,
-            "last": self.last,
-            "dof": self.dof,
-            "shrunk": self.shrunk,
-            "coefficients": {
-                name: {"mean": float(m), "u": float(u), "between_units": float(b), "u_mean": float(um)}
-                for name, m, u, b, um in rows
-            },
-            "covariance": self.covariance.tolist(),
-            "notes": list(self.notes),
-        }
 
 
 def prior_of(measured: Measured) -> Prior:

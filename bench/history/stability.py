@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from bench.base.arrays import Floats
+from bench.base.computing import tracked
 from bench.base.numbers import read_number
 from bench.base.text import shortened
 from bench.calibration.result import CalibrationError
 from bench.readings.columns import OVERLOAD
 from bench.readings.csv import LISTED_AT_ONCE, ReadingsError, split_table
 from bench.readings.table import UNITS
-from bench.stats.allan import AllanCurve, NoiseTerms
+from bench.stats.allan import AllanCurve, NoiseTerms, allan_curve, fit_terms
 
 LEAST_SAMPLES: Final = 32
 EXAMPLE: Final = "time_s,ux_v,uy_v,uz_v"
@@ -221,3 +222,49 @@ def reading_advice(
             f"reading has {most_samples} at most; ask for a larger size with --size"
         )
     return ReadingAdvice(samples, each, samples * each / line_frequency_hz)
+
+
+@dataclass(frozen=True)
+class Stability:
+    """What a record says: curve, noise terms and averaging time of each channel, and the reading that suits all.
+
+    `advice` is None where the meters cannot average so long in one reading: `no_advice` says why.
+    """
+
+    record: StaticRecord
+    line_frequency_hz: float
+    curves: tuple[AllanCurve, ...]
+    terms: tuple[NoiseTerms, ...]
+    averages: tuple[Averaging, ...]
+    advice: ReadingAdvice | None
+    no_advice: str = ""
+
+    @property
+    def longest_s(self) -> float:
+        """The averaging time that suits all channels, s."""
+        return max(average.tau_s for average in self.averages)
+
+
+def stability_of(
+    record: StaticRecord,
+    integration_s: float,
+    size: float | None,
+    line_frequency_hz: float,
+    nplc: Sequence[float],
+    most_samples: int,
+) -> Stability:
+    """Return what a record says of meters that integrated each sample for `integration_s`.
+
+    `size` is the noise that a reading may have, unit of the signals; None: where longer averages gain little.
+    """
+    channels = tracked(range(3), "Allan deviation of the channels")
+    curves = tuple(allan_curve(record.signal[:, i], record.interval_s) for i in channels)
+    terms = tuple(fit_terms(curve) for curve in tracked(curves, "noise terms of the channels"))
+    averages = tuple(averaging(c, t, size) for c, t in zip(curves, terms, strict=True))
+    found = Stability(record, line_frequency_hz, curves, terms, averages, None)
+    integrated_s = found.longest_s * integration_s / record.interval_s
+    try:
+        advice = reading_advice(integrated_s, line_frequency_hz, nplc, most_samples)
+    except CalibrationError as error:
+        return replace(found, no_advice=str(error))
+    return replace(found, advice=advice)

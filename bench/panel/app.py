@@ -81,10 +81,9 @@ def make_app(settings: Settings) -> Starlette:
 LATE: Final = (
     "bench.calibration.conformity",
     "bench.calibration.verification",
-    "bench.services.check_runs",
     "bench.services.check_block",
     "bench.services.execution",
-    "bench.results.control_chart",
+    "bench.results.control_chart_page",
 )
 LATE_OF_CATALOGUE: Final = (
     "bench.catalogue.questions",

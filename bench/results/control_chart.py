@@ -1,236 +1,309 @@
-"""The page of a control chart: one HTML file that needs nothing but itself."""
+"""The result of `bench chart`: the control chart of a check block, as JSON and as text."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from functools import cached_property
+from typing import Any, Final
 
 import numpy as np
-from markupsafe import Markup
+from pydantic import Field
+from rich.console import Console
+from rich.table import Table
 
 from bench.base.arrays import Floats
-from bench.base.numbers import MINUS, fixed, probability, scale_for, two_digits
+from bench.base.numbers import MINUS, fixed, probability, scale_for
+from bench.base.result_model import Real, ResultModel
+from bench.base.tables import as_text, table
 from bench.history.control_chart import ControlChart
-from bench.model.geometry import COEFFICIENTS
-from bench.results.plots import BLUE, GREY, VERMILION, svg_figure, symbol
-from bench.results.template import page
+from bench.results.parts import ValuePart, by_coefficient, print_notes
+from bench.stats.control_charts import Basis
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+LAST_ROWS: Final = 12
+"""So many of the last runs are listed in a terminal."""
+
+
+class DesignPart(ResultModel):
+    """By which rules the chart judges."""
+
+    arl: float = Field(description="mean number of runs between false alarms of the whole")
+    arl_of_each: float = Field(description="the same of each of the three statistics that reject a run")
+    smoothing: float = Field(description="λ of the EWMA")
+    limits_from: Basis
+
+
+class LimitsPart(ResultModel):
+    """The limits of the charts."""
+
+    t2: float = Field(description="of T² of a run")
+    ewma_t2: float = Field(description="of T² of the EWMA")
+    single: float = Field(description="of one coefficient, in u")
+    single_ewma: float = Field(description="of the EWMA of one coefficient, in its u")
+
+
+class ShortTermPart(ResultModel):
+    """The scatter within a run."""
+
+    s: float = Field(description="short-term standard deviation of a reading, in the unit")
+    dof: float
+    f: Real = Field(description="its square over that of the baseline")
+    p: Real = Field(description="chance of more (F test)")
+
+
+class DeviationPart(ResultModel):
+    """A coefficient of a run: off the centre, u of that, and one over the other; the same of the EWMA."""
+
+    deviation: float
+    u: float
+    z: float
+    ewma: Real
+    ewma_u: Real
+    ewma_z: Real
+
+
+class ChartedRun(ResultModel):
+    """A run of the check block that is judged."""
+
+    run: str
+    when: str = Field(description="ISO 8601")
+    accepted: bool
+    reasons: list[str] = Field(description="why it is rejected, a clause each")
+    t2: float = Field(description="T² of all coefficients")
+    p: float = Field(description="chance of as much")
+    ewma_t2: Real = Field(description="T² of the EWMA; null for a run that T² rejects")
+    ewma_p: Real
+    short_term: ShortTermPart
+    coefficients: dict[str, DeviationPart]
+
+
+class VariabilityPart(ResultModel):
+    """The variability of a coefficient in the baseline, as standard deviations."""
+
+    noise: float = Field(description="from the noise of readings")
+    stated: float = Field(description="u of one run from all that comes anew with it")
+    scatter: float = Field(description="between runs")
+    f: float = Field(description="(scatter/stated)²")
+    p: float = Field(description="chance of more")
+    between: float = Field(description="the part of the scatter beyond stated u")
+    between_most: float = Field(description="its upper limit of 95 %")
+
+
+class PooledPart(ResultModel):
+    """The short-term standard deviation of a reading, pooled over the baseline."""
+
+    s: float
+    dof: float
+
+
+class ComponentsPart(ResultModel):
+    """Short-term and long-term variability in the baseline."""
+
+    coefficients: dict[str, VariabilityPart]
+    runs: int
+    birge: float = Field(description="Birge ratio of all coefficients: scatter over stated u")
+    birge_dof: int
+    birge_p: float = Field(description="chance of a ratio so far from 1")
+    alike_p: float = Field(description="chance of ratios so different between directions")
+    short_term: PooledPart | None
+
+
+class DriftPart(ResultModel):
+    """The drift of a coefficient in accepted runs, a straight line."""
+
+    per_year: float
+    u: float
+    p: float = Field(description="chance of as much in any of the twelve")
+
+
+class ChartResult(ResultModel):
+    """The control chart of a check block, and whether its last run is in control."""
+
+    block: str
+    unit: str = Field(description="of the signals")
+    g_m_s2: float = Field(description="the g that scale factors are per")
+    simulated: bool
+    design: DesignPart
+    baseline: list[str] = Field(description="runs that say what the block is")
+    reference: str | None = Field(description="the result that is used in their place")
+    centre: dict[str, ValuePart] = Field(description="what the block is")
+    scale: float = Field(description="by how much stated u is multiplied")
+    dof: Real = Field(description="degrees of freedom of that; null where stated u is believed")
+    limits: LimitsPart
+    runs: list[ChartedRun] = Field(description="runs after the baseline, the oldest first")
+    components: ComponentsPart | None
+    drift: dict[str, DriftPart] | None = Field(description="what accepted runs show, in a year")
+    baseline_alone_p: list[float] | None = Field(description="chance of each baseline run beside the others")
+    in_control: bool
+    last: str | None = Field(description="the run that is judged last")
+    notes: list[str]
 
 
 @dataclass(frozen=True)
-class ChartOfBlock:
-    """What the page is made from: the chart, of which `block`, in which `unit`, with further `notes`.
-
-    `sentence` is what it says of its last run.
-    """
+class CheckBlockChart:
+    """The control chart of a check block: of which `block`, in which `unit` per `g_m_s2`, and what was left out."""
 
     chart: ControlChart
     block: str
     unit: str
+    g_m_s2: float
     simulated: bool
     notes: tuple[str, ...]
-    sentence: str
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the last run of the check block was in control."""
+        return self.chart.in_control
+
+    def sentence(self) -> str:
+        """Return what the chart says of its last run."""
+        if not self.chart.verdicts:
+            first = self.chart.baseline[-1].name
+            return f"NO VERDICT yet: {first} is the first, and nothing is there to hold it against"
+        last = self.chart.verdicts[-1]
+        if last.accepted:
+            return f"IN CONTROL: {last.run}"
+        return f"OUT OF CONTROL: {last.run}: {'; '.join(last.reasons)}"
+
+    @cached_property
+    def result(self) -> ChartResult:
+        """The result as `bench chart --json` writes it."""
+        chart, design, centre = self.chart, self.chart.design, self.chart.centre
+        return ChartResult(
+            block=self.block,
+            unit=self.unit,
+            g_m_s2=self.g_m_s2,
+            simulated=self.simulated,
+            design=DesignPart.from_object(design, arl_of_each=design.each_arl, limits_from=design.basis),
+            baseline=[run.name for run in chart.baseline],
+            reference=None if chart.reference is None else chart.reference.name,
+            centre=by_coefficient(
+                ValuePart, value=centre.value, u=np.sqrt(np.diag(centre.covariance) * centre.scale)
+            ),
+            scale=float(np.sqrt(centre.scale)),
+            dof=centre.dof,
+            limits=LimitsPart(
+                t2=chart.limit_t2, ewma_t2=chart.limit_ewma, single=chart.limit_single,
+                single_ewma=chart.limit_single_ewma,
+            ),
+            runs=[_run(chart, row) for row in range(len(chart.later))],
+            components=_components(chart),
+            drift=None if chart.drift is None else by_coefficient(DriftPart, **vars(chart.drift)),
+            baseline_alone_p=None if chart.alone is None else chart.alone.tolist(),
+            in_control=chart.in_control,
+            last=chart.verdicts[-1].run if chart.verdicts else None,
+            notes=[*self.notes, *chart.notes],
+        )  # fmt: skip
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `bench chart --json` writes it."""
+        return self.result.to_dict()
+
+    def print_on(self, out: Console) -> None:
+        """Print the last runs, the deviations of the last one, and the verdict."""
+        result = self.result
+        kind = ", SIMULATED" if result.simulated else ""
+        what = result.reference or f"a baseline of {_counted(result.baseline)}"
+        out.print(
+            f"Control chart of the check block {result.block}{kind}: {_counted(result.runs)} against {what}"
+        )
+        if result.runs:
+            out.print(_runs_table(result))
+            out.print("")
+            out.print(_coefficients_table(result))
+            basis = {
+                "stated": "stated u",
+                "scaled": f"stated u, times {result.scale:.2f} as the baseline shows",
+                "scatter": "the scatter of the baseline",
+            }[result.design.limits_from]
+            out.print(
+                f"false alarms: one in {result.design.arl:g} runs, all three statistics together; "
+                f"limits from {basis}"
+            )
+        print_notes(result.notes, out)
+        out.print(self.sentence(), style="bold")
+
+    def __repr__(self) -> str:
+        """Return what `bench chart` prints."""
+        return as_text(self.print_on)
 
 
-MOST_SHOWN: Final = 60
-"""So many of the last runs are drawn and listed."""
-BASIS_IN_WORDS: Final = {
-    "stated": "stated u, believed as it stands",
-    "scaled": "stated u, times one factor for all coefficients that the baseline shows",
-    "scatter": "the scatter of the baseline alone (Hotelling's T²)",
-}
+def _run(chart: ControlChart, row: int) -> ChartedRun:
+    verdict, run, short, shewhart, ewma = (
+        chart.verdicts[row], chart.later[row], chart.short, chart.shewhart, chart.ewma
+    )  # fmt: skip
+    return ChartedRun.from_object(
+        verdict,
+        when=verdict.when.isoformat(),
+        t2=shewhart.t2[row],
+        p=shewhart.p_joint[row],
+        ewma_t2=ewma.t2[row],
+        ewma_p=ewma.p_joint[row],
+        short_term=ShortTermPart(
+            s=run.s, dof=run.s_dof, f=None if short is None else short.f[row],
+            p=None if short is None else short.p[row],
+        ),
+        coefficients=by_coefficient(
+            DeviationPart, deviation=shewhart.deviation[row], u=shewhart.u[row], z=shewhart.z[row],
+            ewma=ewma.deviation[row], ewma_u=ewma.u[row], ewma_z=ewma.z[row],
+        ),
+    )  # fmt: skip
 
 
-def render_chart(found: ChartOfBlock) -> str:
-    """Return the page; the same chart gives the same text."""
-    chart = found.chart
-    last = chart.verdicts[-1] if chart.verdicts else None
-    look = "none" if last is None else "passed" if last.accepted else "failed"
-    word = {"none": "No verdict yet", "passed": "✓ In control", "failed": "✗ Out of control"}[look]
-    figures = []
-    if last is not None:
-        figures = [
-            Markup(svg_figure("joint", (7.4, 5.6), _Joint(found).draw, "T², EWMA and s of every run")),  # noqa: S704 - our own drawing
-            Markup(svg_figure("single", (7.4, 8.2), _Single(found).draw, "every coefficient by run")),  # noqa: S704 - our own drawing
-        ]
-    return page(
-        "control_chart.html.j2",
-        found=found,
-        chart=chart,
-        look=look,
-        word=word,
-        last=last,
-        basis=BASIS_IN_WORDS[chart.design.basis],
-        factor=f"{float(np.sqrt(chart.centre.scale)):.2f}",
-        figures=figures,
-        runs=_runs(found),
-        coefficients=_coefficients(found),
-        components=_components(found),
-        drift=_drift(found),
-        singles=(f"{chart.limit_single:.2f}", f"{chart.limit_single_ewma:.2f}"),
-        limits=(f"{chart.limit_t2:.1f}", f"{chart.limit_ewma:.1f}"),
+def _components(chart: ControlChart) -> ComponentsPart | None:
+    found, short = chart.components, chart.short
+    if found is None:
+        return None
+    columns: dict[str, Floats] = {name: getattr(found, name) for name in VariabilityPart.model_fields}
+    return ComponentsPart.from_object(
+        found,
+        coefficients=by_coefficient(VariabilityPart, **columns),
+        birge=float(np.sqrt(found.birge2)),
+        short_term=None if short is None else PooledPart(s=short.pooled, dof=short.pooled_dof),
     )
 
 
-class _Joint:
-    """Three panels over one another: T² of each run, T² of the EWMA, the short-term standard deviation."""
-
-    def __init__(self, found: ChartOfBlock) -> None:
-        self._chart, self._unit = found.chart, found.unit
-
-    def draw(self, figure: Figure) -> None:
-        chart = self._chart
-        shown = slice(-MOST_SHOWN, None)
-        panels = figure.subplots(3 if chart.short is not None else 2, sharex=True, squeeze=False)[:, 0]
-        along = np.arange(1.0, len(chart.later) + 1)[shown]
-        _panel(panels[0], along, chart.shewhart.t2[shown], np.full(len(along), chart.limit_t2))
-        panels[0].set_ylabel("T² of the run")
-        _panel(panels[1], along, chart.ewma.t2[shown], np.full(len(along), chart.limit_ewma))
-        panels[1].set_ylabel(f"T² of the EWMA (λ = {chart.design.smoothing:g})")
-        if chart.short is not None:
-            scale = scale_for(chart.short.pooled, self._unit)
-            limits = chart.short.limits(chart.design.alpha)[shown] / scale.size
-            _panel(panels[2], along, chart.short.s[shown] / scale.size, limits)
-            panels[2].axhline(chart.short.pooled / scale.size, color=GREY, linewidth=0.7)
-            panels[2].set_ylabel(f"s of a reading / {scale.unit}")
-        _name_runs(panels[-1], chart, along)
+def _counted(runs: Sequence[object]) -> str:
+    return f"{len(runs)} run{'s' * (len(runs) != 1)}"
 
 
-class _Single:
-    """A panel for each coefficient: deviation from the centre with limits, and the EWMA with its own."""
-
-    def __init__(self, found: ChartOfBlock) -> None:
-        self._chart, self._unit = found.chart, found.unit
-
-    def draw(self, figure: Figure) -> None:
-        chart = self._chart
-        shown = slice(-MOST_SHOWN, None)
-        along = np.arange(1.0, len(chart.later) + 1)[shown]
-        largest = max(float(np.max(chart.shewhart.u)), 1e-30) * chart.limit_single
-        scale = scale_for(largest, self._unit)
-        grid = figure.subplots(4, 3, sharex=True)
-        for k, name in enumerate(COEFFICIENTS):
-            axes = grid.flat[k]
-            _coefficient(axes, chart, k, along, shown, scale.size)
-            axes.set_title(symbol(name))
-            axes.xaxis.get_major_locator().set_params(integer=True)
-        figure.supylabel(f"off the centre / {scale.per_g}, biases: {scale.unit}", fontsize=8)
-        figure.supxlabel("run after the baseline", fontsize=8)
+def _in_u(z: float | None) -> str:
+    """Return a deviation in its u, with its sign; a dash where there is none."""
+    return "–" if z is None else f"{z:+.1f}".replace("-", MINUS)
 
 
-def _coefficient(axes: Axes, chart: Any, k: int, along: Floats, shown: slice, size: float) -> None:
-    own, smoothed = chart.shewhart, chart.ewma
-    limit = chart.limit_single * own.u[shown, k] / size
-    value = own.deviation[shown, k] / size
-    axes.axhline(0.0, color=GREY, linewidth=0.7)
-    _level(axes, along, limit, color=VERMILION, linewidth=0.8)
-    _level(axes, along, -limit, color=VERMILION, linewidth=0.8)
-    near = chart.limit_single_ewma * smoothed.u[shown, k] / size
-    _level(axes, along, near, color=GREY, linewidth=0.8, linestyle="--")
-    _level(axes, along, -near, color=GREY, linewidth=0.8, linestyle="--")
-    axes.plot(along, smoothed.deviation[shown, k] / size, color=GREY, linewidth=1.2)
-    beyond = np.abs(own.z[shown, k]) > chart.limit_single
-    axes.plot(along[~beyond], value[~beyond], "o", color=BLUE, markersize=3)
-    axes.plot(along[beyond], value[beyond], "X", color=VERMILION, markersize=5)
+def _runs_table(result: ChartResult) -> Table:
+    t2, ewma_t2 = f">T² (≤ {result.limits.t2:.1f})", f">EWMA T² (≤ {result.limits.ewma_t2:.1f})"
+    shown = table("run", "begun", t2, ewma_t2, ">s / baseline", "verdict")
+    for run in result.runs[-LAST_ROWS:]:
+        f = run.short_term.f
+        shown.add_row(
+            run.run, run.when[:16].replace("T", " "), f"{run.t2:.1f}",
+            "–" if run.ewma_t2 is None else f"{run.ewma_t2:.1f}", "–" if f is None else f"{f**0.5:.2f}",
+            "in control" if run.accepted else "OUT OF CONTROL",
+        )  # fmt: skip
+    return shown
 
 
-def _panel(axes: Axes, along: Floats, values: Floats, limits: Floats) -> None:
-    beyond = values > limits
-    axes.plot(along, values, color=GREY, linewidth=0.7)
-    axes.plot(along[~beyond], values[~beyond], "o", color=BLUE, markersize=4)
-    axes.plot(along[beyond], values[beyond], "X", color=VERMILION, markersize=6)
-    _level(axes, along, limits, color=VERMILION, linewidth=1.0)
-    axes.set_ylim(bottom=0.0)
-
-
-def _level(axes: Axes, along: Floats, level: Floats, **style: Any) -> None:
-    """Draw a limit half a run to either side of each, so that a single run has one to be seen, too."""
-    axes.plot(np.column_stack((along - 0.5, along + 0.5)).ravel(), np.repeat(level, 2), **style)
-
-
-def _name_runs(axes: Axes, chart: Any, along: Floats) -> None:
-    """Name runs by the day they were begun, as many as there is room for."""
-    every = max(1, len(along) // 8)
-    ticks = along[::-1][::every][::-1]
-    days = {f"{run.when:%Y-%m-%d}" for run in chart.later}
-    text = "%m-%d %H:%M" if len(days) < len(chart.later) else "%Y-%m-%d"
-    axes.set_xticks(ticks, [f"{chart.later[int(k) - 1].when:{text}}" for k in ticks], fontsize=7)
-
-
-def _runs(found: ChartOfBlock) -> list[dict[str, Any]]:
-    chart = found.chart
-    rows = []
-    for row in list(range(len(chart.later)))[-MOST_SHOWN:][::-1]:
-        verdict, short = chart.verdicts[row], chart.short
-        ewma = float(chart.ewma.t2[row])
-        cells = [
-            f"{verdict.when:%Y-%m-%d %H:%M}",
-            f"{chart.shewhart.t2[row]:.1f}",
-            "–" if np.isnan(ewma) else f"{ewma:.1f}",
-            "–" if short is None else f"{np.sqrt(short.f[row]):.2f}",
-            "in control" if verdict.accepted else "; ".join(verdict.reasons),
-        ]
-        rows.append({"head": verdict.run, "cells": cells, "bad": not verdict.accepted})
-    return rows
-
-
-def _coefficients(found: ChartOfBlock) -> list[dict[str, Any]]:
-    chart = found.chart
-    if not chart.verdicts:
-        return []
-    rows = []
-    for k, name in enumerate(COEFFICIENTS):
-        u, deviation = float(chart.shewhart.u[-1, k]), float(chart.shewhart.deviation[-1, k])
-        scale = scale_for(u, found.unit)
+def _coefficients_table(result: ChartResult) -> Table:
+    """The last run by coefficient: how far from the centre, in u, and what repeats of the baseline say of u."""
+    last, limits, parts = result.runs[-1], result.limits, result.components
+    shown = table(
+        last.run, ">off the centre", ">u", f">in u (≤ {limits.single:.1f})",
+        f">EWMA in u (≤ {limits.single_ewma:.1f})",        ">scatter / stated u", ">",
+    )  # fmt: skip
+    for name, own in last.coefficients.items():
+        scale = scale_for(own.u, result.unit)
         unit = scale.unit if name.startswith("U0") else scale.per_g
-        ewma = float(chart.ewma.z[-1, k])
-        z = float(chart.shewhart.z[-1, k])
-        cells = [
-            f"{fixed(deviation / scale.size, 1)} {unit}",
-            f"{u / scale.size:.1f} {unit}",
-            f"{z:+.1f}".replace("-", MINUS),
-            "–" if np.isnan(ewma) else f"{ewma:+.1f}".replace("-", MINUS),
-        ]
-        beyond = abs(z) > chart.limit_single or abs(ewma) > chart.limit_single_ewma
-        rows.append({"head": Markup(_html(name)), "cells": cells, "bad": beyond})  # noqa: S704 - our own names
-    return rows
-
-
-def _components(found: ChartOfBlock) -> list[dict[str, Any]]:
-    parts = found.chart.components
-    if parts is None:
-        return []
-    rows = []
-    for k, name in enumerate(COEFFICIENTS):
-        scale = scale_for(float(parts.stated[k]), found.unit)
-        columns = (parts.noise, parts.stated, parts.scatter, parts.between, parts.between_most)
-        unit = scale.unit if name.startswith("U0") else scale.per_g
-        sizes = ["0" if column[k] == 0.0 else two_digits(float(column[k]) / scale.size) for column in columns]
-        cells = [*(f"{size} {unit}" for size in sizes), f"{parts.f[k]:.2f}", probability(float(parts.p[k]))]
-        bad = bool(parts.more_than_stated[k] < 0.01)
-        rows.append({"head": Markup(_html(name)), "cells": cells, "bad": bad})  # noqa: S704 - our own names
-    return rows
-
-
-def _drift(found: ChartOfBlock) -> list[dict[str, Any]]:
-    drift = found.chart.drift
-    if drift is None:
-        return []
-    rows = []
-    for k, name in enumerate(COEFFICIENTS):
-        scale = scale_for(float(drift.u[k]), found.unit)
-        unit = scale.unit if name.startswith("U0") else scale.per_g
-        cells = [
-            f"{fixed(float(drift.per_year[k]) / scale.size, 1)} {unit}",
-            f"{float(drift.u[k]) / scale.size:.1f} {unit}",
-            probability(float(drift.p[k])),
-        ]
-        rows.append({"head": Markup(_html(name)), "cells": cells, "bad": bool(drift.p[k] < 0.01)})  # noqa: S704 - our own names
-    return rows
-
-
-def _html(name: str) -> str:
-    return f"{name[0]}<sub>{name[1:]}</sub>"
+        ratio, more = "–", ""
+        if parts is not None:
+            variability = parts.coefficients[name]
+            ratio = f"{variability.scatter / variability.stated:.2f}"
+            # Bonferroni over the coefficients
+            p = min(1.0, len(parts.coefficients) * variability.p)
+            more = probability(p) if p < 0.01 else ""
+        shown.add_row(
+            name, f"{fixed(own.deviation / scale.size, 1)} {unit}", f"{own.u / scale.size:.1f} {unit}",
+            _in_u(own.z), _in_u(own.ewma_z), ratio, more,
+        )  # fmt: skip
+    return shown

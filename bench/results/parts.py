@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, TypeVar
 
 from pydantic import Field
+from rich.console import Console
 
 from bench.base.arrays import CHANNELS, Floats, u_of
+from bench.base.computing import quiet
 from bench.base.result_model import Real, ResultModel
 from bench.calibration.result import SourceOfError
 from bench.model.geometry import COEFFICIENTS
+
+Part = TypeVar("Part", bound=ResultModel)
+
+
+def by_coefficient(part: type[Part], **columns: Iterable[Any]) -> dict[str, Part]:
+    """Return a part for each of the twelve coefficients, by name; a column holds one member of all of them."""
+    rows = zip(*columns.values(), strict=True)
+    named = zip(COEFFICIENTS, rows, strict=True)
+    return {name: part(**dict(zip(columns, row, strict=True))) for name, row in named}
+
+
+def print_notes(notes: Iterable[str], out: Console) -> None:
+    """Print notes among a result; `--quiet` leaves them to the JSON and the page."""
+    for note in () if quiet.get() else notes:
+        out.print(f"note: {note}")
+
 
 # --- what a result is made from ---------------------------------------------------------------------
 

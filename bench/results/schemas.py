@@ -8,19 +8,28 @@ from typing import Final
 from bench.base.result_model import ResultModel
 
 RESULTS: Final = {
+    "batch": "batch.BatchResult",
     "budget": "budget.BudgetResult",
     "calibrate": "calibration.CalibrateResult",
-    "check": "check.CheckResult",
-    "batch": "batch.BatchResult",
     "catalogue-ask": "catalogue.AskResult",
     "catalogue-due": "catalogue.DueResult",
     "catalogue-sync": "catalogue.SyncResult",
     "catalogue-unit": "catalogue.UnitResult",
+    "chart": "control_chart.ChartResult",
+    "check": "check.CheckResult",
+    "compare": "compare.CompareResult",
     "confirm": "confirm.ConfirmResult",
+    "fleet-cmc": "fleet.CapabilityResult",
+    "fleet-compare": "fleet_compare.BenchesResult",
+    "fleet-drift": "fleet.DriftResult",
+    "fleet-effects": "fleet.EffectsResult",
+    "fleet-prior": "fleet.PriorResult",
+    "learn": "learning.LearnResult",
     "plan-points": "planning.PlanPointsResult",
     "report": "verification.ReportResult",
     "require": "planning.RequireResult",
     "source-failed": "parts.FailedPart",
+    "stability": "stability.StabilityResult",
     "verify": "verification.VerifyResult",
 }
 """The model of each result, as module of this room and class, by the name of its schema."""

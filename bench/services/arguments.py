@@ -98,6 +98,12 @@ KINDS: Final[Mapping[str, Kind]] = {
     ),
     "runs": _NAME,
     "name": _WORD,
+    "folder": _NAME,
+    "baseline": _COUNT,
+    "arl": _NUMBER,
+    "smoothing": _NUMBER,
+    "limits": _WORD,
+    "real": _FLAG,
     "estimator": _WORD,
     "rule": _WORD,
     "g": _NUMBER,
@@ -145,21 +151,24 @@ def checked(**others: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return decorated
 
 
-def python_call(request: Callable[P, Asked], act: Callable[[Asked], R]) -> Callable[P, R]:
+def python_call(
+    request: Callable[P, Asked], act: Callable[[Asked], R], name: str = "", **others: Kind
+) -> Callable[P, R]:
     """Return the function of the Python face that carries out a request: its parameters are the request's fields.
 
-    It goes by the name of `act` without the underscore, and is described by it.
+    It goes by `name`, or that of `act` without the underscore, and is described by `act`. `others` are kinds of
+    arguments in place of those that `KINDS` has.
     """
 
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         return act(request(*args, **kwargs))
 
-    call.__name__ = call.__qualname__ = act.__name__.lstrip("_")
+    call.__name__ = call.__qualname__ = name or act.__name__.lstrip("_")
     call.__doc__ = act.__doc__
     fields = inspect.signature(request).parameters.values()
     signature = inspect.Signature([one.replace(annotation=inspect.Parameter.empty) for one in fields])
     call.__signature__ = signature  # type: ignore[attr-defined]
-    return checked()(call)
+    return checked(**others)(call)
 
 
 DIAGNOSED: Final[Kind] = (

@@ -1,36 +1,40 @@
-"""The check block of a bench: values of its runs, their control chart, what that says of a new run."""
+"""The check block of a bench: values of its runs, their control chart, and whether it lets a run begin."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from bench.base.arrays import Floats, u_of
 from bench.base.files import cache_folder, from_text, read_regular, write_whole
+from bench.base.text import duration
 from bench.base.yaml_files import load_document, part
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import LEAST_ARL, LEAST_SMOOTHING, MOST_ARL, CheckBlockSection
-from bench.history.control_chart import CheckRun, ControlChart, KnownDrift, Reference, control_chart
+from bench.history.control_chart import CheckRun, KnownDrift, Reference, control_chart
 from bench.model.geometry import COEFFICIENTS
-from bench.run.events import RecordError, RunState, sha256
+from bench.results.control_chart import CheckBlockChart
+from bench.run.events import MANIFEST, CheckedBefore, Manifest, RecordError, RunState, UnitUnderTest, sha256
 from bench.run.folder import BENCH, Run, all_runs, find_run
+from bench.services.arguments import CHARTED, python_call
+from bench.services.bench_selection import find_bench_file, own_bench
 from bench.services.calibration import CalibrationResult, calibration_of
 from bench.services.coefficients import coefficients_of
 from bench.services.errors import Refused
+from bench.services.requests.history import Chart
+from bench.services.requests.shared import runs_folder
 from bench.services.source import Request, load_sources
 from bench.stats.control_charts import BASES, DEFAULT_ARL, Basis, Design, least_runs, shewhart_arl
-
-if TYPE_CHECKING:
-    from bench.run.events import UnitUnderTest
-
+from drivers.clock import utc_now
 
 FORMAT: Final = 1
 """Rises where what is kept changes, or how a calibration finds it."""
@@ -162,44 +166,6 @@ def _from_json(data: dict[str, Any]) -> CheckValues:
 
 
 RESULT_FILE: Final = ".json"
-
-
-@dataclass(frozen=True)
-class CheckBlockChart:
-    """The control chart of a check block, of which `block`, and what was left out (`notes`)."""
-
-    chart: ControlChart
-    block: str
-    unit: str
-    g_m_s2: float
-    simulated: bool
-    notes: tuple[str, ...]
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the last run of the check block was in control."""
-        return self.chart.in_control
-
-    def sentence(self) -> str:
-        """Return what the chart says of its last run."""
-        if not self.chart.verdicts:
-            first = self.chart.baseline[-1].name
-            return f"NO VERDICT yet: {first} is the first, and nothing is there to hold it against"
-        last = self.chart.verdicts[-1]
-        if last.accepted:
-            return f"IN CONTROL: {last.run}"
-        return f"OUT OF CONTROL: {last.run}: {'; '.join(last.reasons)}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as `bench chart --json` writes it."""
-        return {
-            "block": self.block,
-            "unit": self.unit,
-            "g_m_s2": self.g_m_s2,
-            "simulated": self.simulated,
-            **self.chart.to_json(),
-            "notes": [*self.notes, *self.chart.notes],
-        }
 
 
 def is_check_block(bench: BenchFile, unit: UnitUnderTest) -> bool:
@@ -388,26 +354,208 @@ def _restarted(section: CheckBlockSection) -> datetime | None:
     return datetime.combine(section.restarted, time()).astimezone()
 
 
-def with_options(
-    section: CheckBlockSection,
-    *,
-    baseline: int | None = None,
-    arl: float | None = None,
-    smoothing: float | None = None,
-    limits: str | None = None,
-) -> CheckBlockSection:
+def _with_options(section: CheckBlockSection, request: Chart) -> CheckBlockSection:
     """Return a section with what is asked for in place of what the bench file says. Raises `Refused`."""
+    smoothing, arl, limits = request.smoothing, request.arl, request.limits
     if smoothing is not None and not LEAST_SMOOTHING <= smoothing <= 1.0:
         raise Refused(f"--smoothing {smoothing:g}: λ of an EWMA lies between {LEAST_SMOOTHING:g} and 1")
     if arl is not None and not LEAST_ARL <= arl <= MOST_ARL:
         raise Refused(f"--arl {arl:g}: a mean run length between {LEAST_ARL:g} and {MOST_ARL:g}")
     if limits is not None and limits not in BASES:
         raise Refused(f"--limits {limits}: limits are from {', '.join(BASES)}")
-    asked: dict[str, Any] = {"smoothing": smoothing, "limits": limits}
-    if baseline is not None:
-        asked |= {"baseline": baseline}
-        section = section.model_copy(update={"baseline_days": None, "reference": ()})
-    if arl is not None:
-        asked |= {"arl": arl}
-        section = section.model_copy(update={"k": None})
-    return section.model_copy(update={name: value for name, value in asked.items() if value is not None})
+    asked = {"smoothing": smoothing, "limits": limits, "baseline": request.baseline, "arl": arl}
+    update: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+    if "baseline" in update:
+        update |= {"baseline_days": None, "reference": ()}
+    if "arl" in update:
+        update["k"] = None
+    return section.model_copy(update=update)
+
+
+# --- which runs a chart is of ---------------------------------------------------------------------------
+
+
+def charted(request: Chart) -> CheckBlockChart:
+    """Return the control chart of a check block, as `bench chart` finds it.
+
+    `runs` are runs of the check block by name or path, or the folder in which they are (BENCH_RUNS, or ./runs).
+    `bench` states the check block; without it the bench file counts that the latest of its runs recorded. `real`
+    says which runs of a folder are meant. Raises `Refused` where there are none.
+    """
+    folder = runs_folder(request.folder)
+    named = [request.runs] if isinstance(request.runs, str | Path) else request.runs or [folder]
+    bench = None if request.bench is None else str(request.bench)
+    place = Path(named[0])
+    if len(named) == 1 and place.is_dir() and not (place / MANIFEST).is_file():
+        runs, section, path = _in_folder(place, bench, request.real)
+    else:
+        runs = [find_run(str(name), folder) for name in named]
+        file, path = _bench_file(bench, runs[-1])
+        section = file.check_block or CheckBlockSection(serial=file.unit_under_test.serial, drift={})
+    return chart_of(runs, _with_options(section, request), of_bench=path, folder=folder)
+
+
+chart = python_call(Chart, charted, "chart", runs=CHARTED)
+
+
+def _bench_file(bench: str | None, run: Run) -> tuple[BenchFile, Path]:
+    if bench or os.environ.get("BENCH_FILE"):
+        taken = find_bench_file(bench)
+        return taken.file, Path(taken.where)
+    return own_bench(run)
+
+
+def _in_folder(
+    folder: Path, bench: str | None, real: bool | None
+) -> tuple[list[Run], CheckBlockSection, Path]:
+    kinds = (True, False) if real is None else (not real,)
+    file, path, latest = _of_folder(folder, bench, kinds)
+    section = file.check_block
+    if section is None:
+        raise Refused(f"{path}: states no check_block; add it, or name the runs of the check block")
+    simulated = latest.simulated if latest is not None else kinds[0]
+    runs = check_block_runs(file, folder, simulated=simulated)
+    if not runs:
+        raise Refused(
+            f"{folder}: no finished run of the check block {section.serial} of {file.name} there; measure it with "
+            f"bench run PROCEDURE --unit {section.serial}"
+        )
+    return runs, section, path
+
+
+def _of_folder(folder: Path, bench: str | None, kinds: Sequence[bool]) -> tuple[BenchFile, Path, Run | None]:
+    """Return the bench file, where it is, and the latest run of its check block, if there is one."""
+    asked = bench or os.environ.get("BENCH_FILE")
+    given = find_bench_file(bench) if asked else None
+    for run in reversed(all_runs(folder)):
+        try:
+            unit = run.manifest.get("unit_under_test")
+            if unit is None or run.simulated not in kinds:
+                continue
+            file, path = (given.file, Path(given.where)) if given else _bench_file(None, run)
+        except (RecordError, OSError, ValueError):
+            continue
+        if is_check_block(file, unit):
+            return file, path, run
+    if given:
+        return given.file, Path(given.where), None
+    raise Refused(
+        f"{folder}: no run of a check block there; say --bench FILE whose check_block names it, and measure it "
+        "with bench run PROCEDURE --unit SERIAL"
+    )
+
+
+# --- whether the check block lets a run begin ----------------------------------------------------------
+
+HOUR_S: Final = 3600.0
+IN_CONTROL: Final = "in control"
+
+
+@dataclass(frozen=True)
+class CheckBefore:
+    """The last check of a bench: `state` (in control, out of control, too old, missing), in a sentence.
+
+    `run` is the run of the check block, empty where there is none, `age_s` how old it is.
+    """
+
+    state: str
+    sentence: str
+    run: str = ""
+    age_s: float = 0.0
+
+    @property
+    def fine(self) -> bool:
+        """Whether nothing speaks against a run."""
+        return self.state == IN_CONTROL
+
+    def recorded(self, rule: str, reason: str | None) -> CheckedBefore:
+        """Return what a manifest says of it; `reason` is why it was set aside, where it was."""
+        told: CheckedBefore = {"rule": rule, "state": self.state, "said": self.sentence}
+        if self.run:
+            told["run"] = self.run
+            told["age_h"] = round(self.age_s / HOUR_S, 3)
+        if reason is not None and not self.fine:
+            told["despite"] = reason
+        return told
+
+
+def check_before(bench: BenchFile, path: Path, runs: Path, now: datetime, *, simulated: bool) -> CheckBefore:
+    """Return what the last run of the check block says, now. Raises `Refused` where its chart cannot be made."""
+    section = bench.check_block
+    if section is None:
+        raise Refused(f"{path}: states no check_block; add it, or leave the check out")
+    found = check_block_runs(bench, runs, simulated=simulated)
+    kind = " simulated" if simulated else ""
+    if not found:
+        return CheckBefore(
+            "missing", f"no{kind} run of the check block {section.serial} of {bench.name} is in {runs}"
+        )
+    chart = chart_of(found, section, of_bench=path, folder=runs)
+    return _judged(chart, section, found, now)
+
+
+def _judged(
+    chart: CheckBlockChart, section: CheckBlockSection, found: list[Run], now: datetime
+) -> CheckBefore:
+    verdicts = chart.chart.verdicts
+    if not verdicts:
+        (run, *_) = chart.chart.baseline
+        return CheckBefore(
+            "missing",
+            f"{run.name} is the first run of the check block {section.serial}: nothing is there yet to hold it "
+            "against; measure it once more",
+        )
+    last = verdicts[-1]
+    age_s = max(0.0, (now - last.when).total_seconds())
+    if not last.accepted:
+        said = f"the last run of the check block, {last.run}, is OUT OF CONTROL: {'; '.join(last.reasons)}"
+        return CheckBefore("out of control", said, last.run, age_s)
+    newest = found[-1].name
+    if newest != last.run and newest not in {run.name for run in chart.chart.baseline}:
+        return CheckBefore(
+            "missing",
+            f"the last run of the check block, {newest}, gives no calibration: {'; '.join(chart.notes)}",
+        )
+    hours = f"{age_s / HOUR_S:.1f} h"
+    if age_s > section.max_age:
+        counts = duration(section.max_age)
+        said = f"the last run of the check block, {last.run}, is {hours} old; it counts for {counts}"
+        return CheckBefore("too old", said, last.run, age_s)
+    return CheckBefore(IN_CONTROL, f"{last.run}, {hours} ago, was in control", last.run, age_s)
+
+
+def checked_before(
+    manifest: Manifest, bench: BenchFile, path: Path, runs: Path, despite: str | None
+) -> tuple[str, ...]:
+    """Hold a run that is to begin to the check block of its bench: into its manifest, and in words.
+
+    `despite` is why it is begun whatever the check says. Raises `Refused` where the bench file says so. A run of
+    the check block itself is not held to it.
+    """
+    if bench.check_block is None:
+        raise Refused(
+            f"{path}: states no check_block; --check-block and --despite-check go with one that does"
+        )
+    if despite is not None and (not despite.strip() or not despite.isprintable()):
+        raise Refused("--despite-check: say in words why the run is begun all the same; the record keeps it")
+    if is_check_block(bench, manifest["unit_under_test"]):
+        return ("this is a run of the check block: its chart follows it",)
+    rule = bench.check_block.rule
+    found = check_before(bench, path, runs, utc_now(), simulated=bool(manifest["dry_run"]))
+    told = refuse_or_tell(found, rule, despite)
+    manifest["check_block"] = found.recorded(rule, despite)
+    return told
+
+
+def refuse_or_tell(found: CheckBefore, rule: str, reason: str | None) -> tuple[str, ...]:
+    """Return what is to be told of a check. Raises `Refused` where the rule says so and no reason sets it aside."""
+    if found.fine:
+        return (f"check block: {found.sentence}",)
+    if reason is not None:
+        return (f"check block: {found.sentence}; the run goes on, as {reason!r} is on record",)
+    if rule == "warn":
+        return (f"CHECK BLOCK: {found.sentence}; the bench file's rule is to warn, and the run goes on",)
+    raise Refused(
+        f"check block: {found.sentence}. The bench file refuses a run then: measure the check block "
+        "('bench chart' shows its chart), or say --despite-check 'REASON', which the record keeps"
+    )

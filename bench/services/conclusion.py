@@ -9,11 +9,12 @@ from typing import Any, Final
 
 from bench.base.files import to_text, write_whole
 from bench.calibration import CalibrationError
+from bench.results.control_chart import CheckBlockChart
 from bench.run.folder import RESULTS, Run
 from bench.run.listening import Interrupts
 from bench.services.bench_selection import own_bench
 from bench.services.calibration import CalibrationResult, calibration_of, report_page
-from bench.services.check_block import CheckBlockChart, chart_of, check_block_runs, is_check_block
+from bench.services.check_block import chart_of, check_block_runs, is_check_block
 from bench.services.diagnosis import told_in_words
 from bench.services.errors import Refused
 from bench.services.source import Request, Source, load_sources

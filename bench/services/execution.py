@@ -57,7 +57,7 @@ from bench.run.sentences import TERMINAL, RunLog, sentence
 from bench.run.terminal import ProgressBar, TerminalPerson
 from bench.run.workbench import BenchSetup
 from bench.services.bench_selection import bench_for_record, bench_path, why_taken
-from bench.services.check_runs import checked_before
+from bench.services.check_block import checked_before
 from bench.services.errors import Refused
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record
 from bench.services.records import versions

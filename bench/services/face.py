@@ -12,7 +12,6 @@ import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from datetime import date
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,7 +28,6 @@ from bench.services.calibration import CalibrationResult, calibration_of, verifi
 from bench.services.confirmation import ConfirmationResult, confirmation_of
 from bench.services.diagnosis import DiagnosisResult, body_of, diagnosis_of
 from bench.services.free_diagnosis import FreeDiagnosisResult, free_diagnosis_of, free_sources
-from bench.services.learning import LearningResult, learning_of
 from bench.services.own_effects import knowing_effects_in
 from bench.services.requests.evaluation import Confirm
 from bench.services.requests.measuring import DryRunRequest, RunRequest
@@ -181,27 +179,6 @@ def _confirm(request: Confirm) -> ConfirmationResult:
 
 
 confirm = python_call(Confirm, _confirm)
-
-
-@checked()
-def learn(
-    sources: Sequence[Data],
-    *,
-    bench: Bench = None,
-    model: str | Path | None = None,
-    by_installation: bool = False,
-    expires: date | None = None,
-    skip_bad_rows: bool = False,
-    runs: str | Path | None = None,
-) -> LearningResult:
-    """Return what the runs of one bench tell of it, as `bench learn` finds it; `write` makes the learned file.
-
-    `model` is a model file with effects of the bench, found in many runs together, which become the bench's;
-    `by_installation` gives each installation mean angles of its own; the file counts until `expires` (a year, where
-    nobody says). Else as in `calibrate`.
-    """
-    loaded = _loaded(list(sources), bench, model, None, runs, skip_bad_rows=skip_bad_rows)
-    return learning_of(loaded, by_installation=by_installation, expires=expires)
 
 
 @dataclass(frozen=True)

@@ -5,26 +5,29 @@ from __future__ import annotations
 import datetime
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.base.tables import as_text, table
+from bench.base.tables import as_text
 from bench.calibration.budget.sources import assumed_stand
 from bench.config.bench_file.learned import arcsec, learned_for, write_learned
 from bench.config.model_file import load_model
 from bench.history.learned import WAVE_NAMES, Learned
 from bench.history.learning import learn as learn_from
-from bench.history.run_sums import RunFit, run_fit
+from bench.history.run_sums import run_fit
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.effects import Subsystem
+from bench.results.learning import LearnResult, RecordPart, learn_result, print_learned
+from bench.services.arguments import python_call
 from bench.services.errors import Refused
 from bench.services.learned import differences_of, written_meters
-from bench.services.source import Source, data_sha256
+from bench.services.requests.history import Learn
+from bench.services.source import Source, data_sha256, load_sources, reading
 from drivers.clock import utc_now
 
 USUAL_DAYS: Final = 365
@@ -78,20 +81,25 @@ class LearningResult:
             )
         return tuple(own)
 
+    @cached_property
+    def result(self) -> LearnResult:
+        """The result as `bench learn --json` writes it."""
+        first = self.sources[0]
+        return learn_result(
+            self.learned,
+            bench=first.taken.part(),
+            learned_for=learned_for(first.bench),
+            made=self.made.isoformat(),
+            expires=self.expires.isoformat(),
+            simulated=self.simulated,
+            records=[RecordPart(**_record(source)) for source in self.behind],
+            effects=[applied.effect.name for applied in self.effects],
+            notes=self.notes,
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench learn --json` writes it."""
-        first = self.sources[0]
-        return {
-            "bench": first.taken.to_dict(),
-            "learned_for": learned_for(first.bench),
-            "made": self.made.isoformat(),
-            "expires": self.expires.isoformat(),
-            "simulated": self.simulated,
-            "records": [_record(source) for source in self.behind],
-            **self.learned.to_json(),
-            "effects": [applied.effect.name for applied in self.effects],
-            "notes": list(self.notes),
-        }
+        return self.result.to_dict()
 
     def write(self, path: str | Path) -> None:
         """Write the learned file. Raises `Refused` where it exists or the runs are no one bench, `OSError`."""
@@ -145,69 +153,65 @@ class LearningResult:
             "not_identified": found.not_identified(),
         }
 
-    def table(self) -> Table:
-        """Return every size with u and degrees of freedom."""
-        shown = table("size", ">value", ">u", ">dof", "", "")
-        for size in self.learned.sizes():
-            dof = f"{size.dof:.0f}" if size.dof < 1e5 else "many"
-            told = "" if size.told else "as stated before"
-            shown.add_row(size.name, f"{size.value:.4g}", f"{size.u:.2g}", dof, size.unit, told)
-        return shown
-
     def print_on(self, out: Console) -> None:
         """Print what contradicts first, then the sizes, then what these runs do not tell."""
-        found = self.learned
-        for one in found.contradicting:
-            out.print(f"{one.sentence} (p {one.p:.1g}, all looks counted); it is left out", style="bold")
-        kind = "simulated runs" if self.simulated else "runs"
-        out.print(f"Bench {self.bench}, learned from {len(found.runs)} {kind}, until {self.expires}:")
-        out.print(self.table())
-        for sentence in () if isinstance(found.meters, str) else found.meters.words():
-            out.print(sentence)
-        for sentence in found.not_identified():
-            out.print(f"not told: {sentence}")
+        print_learned(self.learned, self.result, out)
 
     def __repr__(self) -> str:
         """Return what `bench learn` prints."""
         return as_text(self.print_on)
 
 
-def learning_of(
-    sources: Sequence[Source],
-    *,
-    by_installation: bool = False,
-    expires: datetime.date | None = None,
-) -> LearningResult:
-    """Learn from the runs of one bench. Raises `Refused` for those of several, `CalibrationError` as `learn` does.
+def learning_of(request: Learn, sources: Sequence[Source] | None = None) -> LearningResult:
+    """Return what the runs of one bench tell of it, as `bench learn` finds it; `write` makes the learned file.
 
-    Effects of a model file that are of the bench, found in many runs together, become the bench's.
+    `model` is a model file with effects of the bench, found in many runs together, which become the bench's;
+    `by_installation` gives each installation mean angles of its own; the file counts until `expires` (a year, where
+    nobody says). Else as in `calibrate`. `sources` are those of the request, where they are read already. Raises
+    `Refused` for runs of several benches, `CalibrationError` as `bench.history.learning.learn` does.
     """
+    made = utc_now().date()
+    until = _until(request.expires, made)
+    sources = load_sources(reading(request, *request.sources)) if sources is None else sources
     _require_one_bench(sources)
     first = sources[0]
-    made = utc_now().date()
-    until = made + datetime.timedelta(days=USUAL_DAYS) if expires is None else expires
-    if until <= made:
-        raise Refused(f"--expires {until}: is past; give a day to come, or a number of days")
     stand_u = first.stand_u | {name: size.u for name, size in assumed_stand(first.bench).items()}
     asked = _effects_of_model(sources)
     certified = first.bench.instruments.head.certificate is not None
     waves = not certified and not {a.effect.name for a in asked} & set(HEAD_EFFECTS)
     own = [_certified(source) for source in sources]
-    found = learn_from([_fit(source, stand_u) for source in own], stand_u, by_installation=by_installation,
-                       waves=waves)  # fmt: skip
+    fits = [run_fit(source.name, source.readings, source.model, stand_u) for source in own]
+    found = learn_from(fits, stand_u, by_installation=request.by_installation, waves=waves)
     found = replace(found, meters=differences_of([source for source in own if source.name in found.runs]))
     effects = (*asked, *_circle(found))
-    return LearningResult(found, tuple(sources), made, until, effects, by_installation)
+    return LearningResult(found, tuple(sources), made, until, effects, request.by_installation)
+
+
+learn = python_call(Learn, learning_of, "learn")
+
+
+def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime.date:
+    """Return the day until which a file counts that is made today: a day, or a number of days from now."""
+    if expires is None:
+        return made + datetime.timedelta(days=USUAL_DAYS)
+    if isinstance(expires, str):
+        if expires.isascii() and expires.isdecimal() and 0 < int(expires) < 36500:
+            return made + datetime.timedelta(days=int(expires))
+        try:
+            expires = datetime.date.fromisoformat(expires)
+        except ValueError:
+            raise Refused(
+                f"--expires {expires}: expected a date such as 2027-01-31, or a number of days from now"
+            ) from None
+    if expires <= made:
+        raise Refused(f"--expires {expires}: is past; give a day to come, or a number of days")
+    return expires
 
 
 def _certified(source: Source) -> Source:
     """Return a source as certificates have it, and with no effects but those of a model that was asked for."""
     plain = source.model if source.request.model else ForwardModel(source.bench.installation_models())
     return replace(source.as_certified(), model=plain)
-
-
-def _fit(source: Source, stand_u: dict[str, float]) -> RunFit:
-    return run_fit(source.name, source.readings, source.model, stand_u)
 
 
 def _effects_of_model(sources: Sequence[Source]) -> tuple[AppliedEffect, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy import optimize, special
@@ -196,19 +196,6 @@ class NoiseTerms:
         parts = _columns(tau) * self.squares
         powers = np.array([term.power for term in TERMS])
         return np.asarray(parts @ powers / (2.0 * parts.sum(axis=-1)), dtype=np.float64)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the terms by symbol, in the unit of the signal and seconds; null where not shown."""
-        rows = zip(TERMS, self.values, self.u, self.upper, self.shown, strict=True)
-        return {
-            term.symbol: {
-                "value": float(value) if shown else None,
-                "u": float(u) if shown else None,
-                "upper": float(upper),
-                "called": term.name,
-            }
-            for term, value, u, upper, shown in rows
-        }
 
 
 def fit_terms(curve: AllanCurve) -> NoiseTerms:

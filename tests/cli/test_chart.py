@@ -9,8 +9,7 @@ import pytest
 from bench.config.bench_file.file import load_bench
 from bench.run.folder import Run
 from bench.services import check_block
-from bench.services.check_block import chart_of, check_block_runs
-from bench.services.check_runs import check_before
+from bench.services.check_block import chart_of, check_before, check_block_runs
 from bench.services.errors import Refused
 from bench.services.execution import new_run
 from bench.services.requests.measuring import RunRequest

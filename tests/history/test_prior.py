@@ -9,6 +9,7 @@ from bench.calibration.result import CalibrationError
 from bench.history.capability import capability
 from bench.history.equivalence import STANDARD_GRAVITY, Measured
 from bench.history.prior import join, prior_of
+from bench.results.fleet import capability_result
 
 DAY = np.datetime64("2026-01-01")
 
@@ -104,9 +105,10 @@ def test_a_capability_has_scatter_over_time_and_benches_in_it():
     assert all(one.scatter_least < one.scatter < one.scatter_most for one in shown.apart)
     assert np.mean(shown.u) == pytest.approx(np.sqrt(2.0), abs=0.2)
     assert np.all(shown.below == np.where(shown.u > 1.0, 72, 0))
-    written = shown.to_json()
-    assert written["coefficients"]["Kxx"]["U"] == 2.0 * shown.u[0]
-    assert written["benches"] == ["b0", "b1", "b2", "b3"]
+    written = capability_result(shown, ["asked of all"])
+    assert 2.0 * shown.u[0] == written.coefficients["Kxx"].U
+    assert written.benches == ["b0", "b1", "b2", "b3"]
+    assert written.notes[-1] == "asked of all"
 
 
 def test_a_short_history_states_no_capability():

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from bench.history.control_chart import CheckRun, control_chart
-from bench.results.control_chart import ChartOfBlock, render_chart
+from bench.results.control_chart import CheckBlockChart
+from bench.results.control_chart_page import render_chart
 from bench.stats.control_charts import Design
 
 NOTHING = np.zeros((12, 12))
@@ -37,7 +38,7 @@ def check_run(day: int, shift: float = 0.0) -> CheckRun:
 
 def page(later: list[CheckRun]) -> str:
     chart = control_chart([check_run(day) for day in range(8)], later, Design())
-    return render_chart(ChartOfBlock(chart, "a block <1>", "V", True, ("a note",), "said of its last run"))
+    return render_chart(CheckBlockChart(chart, "a block <1>", "V", 9.81, True, ("a note",)))
 
 
 @pytest.mark.slow
@@ -56,5 +57,5 @@ def test_the_page_shows_the_verdict_the_charts_and_what_is_behind_them():
 def test_without_a_run_to_judge_there_is_no_chart():
     html = page([])
     assert "No verdict yet" in html
-    assert "said of its last run" in html
+    assert "NO VERDICT yet: &lt;check-7&gt; is the first" in html
     assert "<svg " not in html

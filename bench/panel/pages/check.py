@@ -27,12 +27,8 @@ async def check(request: Request) -> Response:
 
 
 def _drawn(folder: Path, real: bool | None) -> str:
-    from bench.results.control_chart import ChartOfBlock, render_chart
-    from bench.services.check_block import chart_of
-    from bench.services.check_runs import charted_runs
+    from bench.results.control_chart_page import render_chart
+    from bench.services.check_block import charted
+    from bench.services.requests.history import Chart
 
-    taken = charted_runs([str(folder)], folder, None, real=real)
-    found = chart_of(taken.runs, taken.section, of_bench=taken.bench_file, folder=folder)
-    return render_chart(
-        ChartOfBlock(found.chart, found.block, found.unit, found.simulated, found.notes, found.sentence())
-    )
+    return render_chart(charted(Chart(folder, folder=folder, real=real)))

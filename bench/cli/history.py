@@ -1,0 +1,128 @@
+"""chart, compare, learn, stability: many measurements beside one another, and a record at rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bench.cli import printing, progress
+from bench.cli.options import JsonOption, OutOption, app
+from bench.cli.requested import requested
+from bench.services.errors import Refused
+from bench.services.requests.history import Chart, Compare, Learn, Stability
+
+
+@app.command(epilog="Example: bench chart runs --bench my-bench.yaml --page chart.html")
+@requested
+def chart(
+    request: Chart,
+    json: JsonOption = None,
+    page: Annotated[
+        Path | None, typer.Option("--page", metavar="FILE", help="Write the charts as one HTML page.")
+    ] = None,
+) -> int:
+    """Control charts of the check block (Shewhart, EWMA); exit status 1 unless its last run is in control."""
+    from bench.services.check_block import charted
+
+    printing.check_target(json)
+    found = charted(request)
+    out = printing.console(json=json)
+    found.print_on(out)
+    if page is not None:
+        from bench.base.files import write_whole
+        from bench.results.control_chart_page import render_chart
+
+        write_whole(page, render_chart(found))
+        printing.written("page", page, out)
+    printing.write_json([found.to_dict()], json)
+    return 0 if found.accepted else 1
+
+
+@app.command(epilog="Example: bench compare 2025.json 2026.json unit-17 --strict")
+@requested
+def compare(
+    request: Compare,
+    json: JsonOption = None,
+    out: OutOption = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="A change beyond the uncertainty is not accepted.")
+    ] = False,
+) -> int:
+    """What changed between calibrations of one block: E_n, a joint test, drift."""
+    from bench.results.compare import print_compare
+    from bench.services.history import compared
+
+    printing.check_target(json)
+    found = compared(request)
+    for source, taken in found.taken:
+        printing.bench_file(taken, json, source)
+    on = printing.console(json=json)
+    print_compare(found.result, on)
+    for what, file, text in found.files(out) if out is not None else ():
+        printing.write_beside(file, text, asked=True)
+        printing.written(what, file, on)
+    printing.write_json([found.result.to_dict()], json)
+    return 1 if strict and found.result.changed else 0
+
+
+@app.command(epilog="Example: bench learn unit-* --out learned.yaml --expires 180")
+@requested
+def learn(
+    request: Learn,
+    json: JsonOption = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="Learned file to write (default: learned.yaml)."),
+    ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="A run that contradicts the others is not accepted.")
+    ] = False,
+) -> int:
+    """What many runs tell of one bench: its stand, noise, head; as a file that its bench file takes."""
+    from bench.results.parts import print_notes
+    from bench.services.learning import learning_of
+    from bench.services.source import load_sources, reading
+
+    printing.check_target(json)
+    target = out or Path("learned.yaml")
+    if target.exists():
+        raise Refused(
+            f"{target}: is there already, and a learned file is not overwritten; give another --out"
+        )
+    sources = load_sources(reading(request, *request.sources))
+    printing.bench_files(sources, json)
+    found = learning_of(request, sources)
+    on = printing.console(json=json)
+    found.print_on(on)
+    print_notes(found.notes, on)
+    printing.write_json([found.to_dict()], json)
+    if found.learned.too_many_contradict:
+        return 1
+    found.write(target)
+    printing.written("learned file", target, on)
+    on.print(f"name it in the bench file: 'learned: {target}'")
+    return 1 if strict and found.learned.contradicting else 0
+
+
+@app.command(epilog="Example: bench stability static.csv --size 20e-6 --bench my-bench.yaml")
+@requested
+def stability(request: Stability, json: JsonOption = None, out: OutOption = None) -> int:
+    """Allan deviation and noise terms of a block at rest, and the averaging that a reading deserves."""
+    from bench.results.parts import print_notes
+    from bench.results.stability import print_stability
+    from bench.services.history import at_rest
+
+    printing.check_target(json)
+    with progress.shown():
+        found = at_rest(request)
+    on = printing.console(json=json)
+    printing.bench_file(found.taken, json)
+    print_notes(found.notes, on)
+    print_stability(found.found, on)
+    for what, file, text in found.files(out):
+        if printing.write_beside(file, text, asked=out is not None):
+            printing.written(what, file, on)
+    printing.write_json([found.result.to_dict()], json)
+    return 0 if all(average.reached for average in found.found.averages) else 1

@@ -1,0 +1,213 @@
+"""The result of `bench compare`: calibrations of one block over time, as JSON, as text and as a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydantic import Field
+from rich.console import Console
+from rich.table import Table
+
+from bench.base.numbers import fixed, places, probability, scale_for
+from bench.base.result_model import ResultModel
+from bench.base.tables import table
+from bench.calibration.conformity import COVERAGE_FACTOR
+from bench.history.comparison import Changes, Comparison, Drift, Snapshot
+from bench.model.geometry import COEFFICIENTS
+from bench.results.parts import BenchPart, by_coefficient, print_notes
+from bench.results.plots import BLUE, GREY, VERMILION, svg_file, symbol
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class CalibrationOfBlock(ResultModel):
+    """A calibration that is compared."""
+
+    name: str = Field(description="the result file, run or readings file")
+    made_at: str | None = Field(description="ISO 8601; null where nobody recorded it")
+    block: str | None = Field(description="type and serial number; null where nobody recorded them")
+
+
+class ChangePart(ResultModel):
+    """How a coefficient changed since the first calibration, in unit/g or unit."""
+
+    difference: float
+    u: float = Field(description="standard uncertainty of the difference")
+    en: float = Field(description="E_n: the size of the difference over its U (k = 2)")
+    p_all_looks: float = Field(description="chance of as much, adjusted for all looks (Holm)")
+    changed: bool = Field(description="whether p_all_looks is below 5 %")
+
+
+class ChangesPart(CalibrationOfBlock):
+    """A later calibration against the first."""
+
+    coefficients: dict[str, ChangePart]
+    chi2: float
+    dof: int
+    p: float = Field(description="of all twelve together")
+
+
+class RatePart(ResultModel):
+    """The rate of a coefficient, per year."""
+
+    value: float
+    u: float
+    p_all_looks: float = Field(description="chance of as much, adjusted for all looks (Holm)")
+    shown: bool = Field(description="whether p_all_looks is below 5 %")
+
+
+class LinesPart(ResultModel):
+    """Weighted straight lines through each coefficient over time."""
+
+    per_year: dict[str, RatePart]
+    chi2: float = Field(description="of what the lines leave")
+    dof: int
+    p: float
+
+
+class BenchOfSource(BenchPart):
+    """The bench file of readings that were calibrated for the comparison."""
+
+    source: str = Field(description="which readings")
+
+
+class CompareResult(ResultModel):
+    """Calibrations of one block beside one another."""
+
+    first: CalibrationOfBlock = Field(description="the reference")
+    unit: str = Field(description="of the signals")
+    g_m_s2: float = Field(description="the g that scale factors are per")
+    compared: list[ChangesPart]
+    p_constant: float = Field(description="that all calibrations are of one block that did not change")
+    drift: LinesPart | None = Field(description="where there are enough dates")
+    changed: bool = Field(description="whether a coefficient changed, or all of them together")
+    notes: list[str]
+    bench: list[BenchOfSource] = Field(
+        description="the bench files that were taken for runs and readings files"
+    )
+
+
+def compare_result(found: Comparison, bench: Sequence[BenchOfSource]) -> CompareResult:
+    """Return a comparison with the bench files behind it, as `--json` writes it."""
+    return CompareResult.from_object(
+        found,
+        first=CalibrationOfBlock(**_of_block(found.first)),
+        unit=found.first.unit,
+        g_m_s2=found.first.g_m_s2,
+        compared=[_changes(one) for one in found.changes],
+        drift=None if found.drift is None else _lines(found.drift),
+        bench=list(bench),
+    )
+
+
+def _of_block(snapshot: Snapshot) -> dict[str, str | None]:
+    when = snapshot.when.isoformat() if snapshot.when else None
+    return {"name": snapshot.name, "made_at": when, "block": snapshot.block or None}
+
+
+def _changes(found: Changes) -> ChangesPart:
+    rows = by_coefficient(
+        ChangePart, difference=found.difference, u=found.u, en=found.en, p_all_looks=found.p_all_looks,
+        changed=found.changed,
+    )  # fmt: skip
+    return ChangesPart(
+        **_of_block(found.later), coefficients=rows, chi2=found.chi2, dof=len(COEFFICIENTS), p=found.p
+    )
+
+
+def _lines(drift: Drift) -> LinesPart:
+    return LinesPart.from_object(
+        drift,
+        per_year=by_coefficient(
+            RatePart, value=drift.per_year, u=drift.u, p_all_looks=drift.p_all_looks, shown=drift.shown
+        ),
+    )
+
+
+# --- as text ------------------------------------------------------------------------------------------
+
+
+def print_compare(result: CompareResult, out: Console) -> None:
+    """Print the changes since the first calibration, the drift, and the verdict."""
+    unit = result.unit
+    out.print(f"Against {_named(result.first)}: {unit}/g (biases {unit}), g = {result.g_m_s2:.6g} m/s²")
+    for later in result.compared:
+        out.print(f"{_named(later)}:")
+        out.print(_changes_table(later))
+        out.print(f"all twelve together: chi2 {later.chi2:.1f} for 12, {probability(later.p)}")
+    if result.drift is not None:
+        out.print("drift (weighted straight lines):")
+        out.print(_drift_table(result.drift))
+        out.print(
+            f"what the lines leave: chi2 {result.drift.chi2:.1f} for {result.drift.dof}, "
+            f"{probability(result.drift.p)}"
+        )
+    print_notes(result.notes, out)
+    changed = {name for later in result.compared for name, one in later.coefficients.items() if one.changed}
+    if changed:
+        verdict = f"CHANGED beyond the uncertainty (5 %, all looks counted): {', '.join(sorted(changed))}"
+    elif result.changed:
+        verdict = "CHANGED: no single coefficient, but all of them together"
+    else:
+        verdict = "nothing changed beyond its uncertainty"
+    out.print(f"{verdict}; all calibrations alike: {probability(result.p_constant)}", style="bold")
+
+
+def _named(one: CalibrationOfBlock) -> str:
+    return f"{one.name} ({one.made_at[:10]})" if one.made_at else one.name
+
+
+def _changes_table(changes: ChangesPart) -> Table:
+    shown = table("coefficient", ">difference", ">U (k=2)", ">En", ">p, all looks", "")
+    for name, one in changes.coefficients.items():
+        digits = places(2 * one.u)
+        sizes = (fixed(one.difference, digits, sign=True), fixed(2 * one.u, digits))
+        shown.add_row(
+            name, *sizes, f"{one.en:.2f}", f"{one.p_all_looks:.2g}", "CHANGED" if one.changed else ""
+        )
+    return shown
+
+
+def _drift_table(drift: LinesPart) -> Table:
+    shown = table("coefficient", ">per year", ">U (k=2)", ">p, all looks", "")
+    for name, one in drift.per_year.items():
+        digits = places(2 * one.u)
+        sizes = (fixed(one.value, digits, sign=True), fixed(2 * one.u, digits))
+        shown.add_row(name, *sizes, f"{one.p_all_looks:.2g}", "DRIFTS" if one.shown else "")
+    return shown
+
+
+# --- as a figure --------------------------------------------------------------------------------------
+
+
+def history_figure(comparison: Comparison) -> str:
+    """Return an SVG file: each coefficient less its first value, with bars of k = 2; changed ones in red."""
+    snapshots = [comparison.first, *(changes.later for changes in comparison.changes)]
+    dates = [snapshot.when for snapshot in snapshots if snapshot.when is not None]
+    dated = len(dates) == len(snapshots)
+    values = np.array([snapshot.vector for snapshot in snapshots]) - comparison.first.vector
+    bars = COVERAGE_FACTOR * np.sqrt([np.diag(snapshot.covariance) for snapshot in snapshots])
+    changed = np.any([changes.changed for changes in comparison.changes], axis=0)
+    scale = scale_for(float(np.max(np.abs(values) + bars)), comparison.first.unit)
+
+    def draw(figure: Figure) -> None:
+        grid = figure.subplots(4, 3, sharex=True)
+        for j, name in enumerate(COEFFICIENTS):
+            axes = grid.flat[j]
+            along = dates if dated else list(range(1, len(snapshots) + 1))
+            axes.axhline(0.0, color=GREY, linewidth=0.7)
+            axes.errorbar(
+                along, values[:, j] / scale.size, bars[:, j] / scale.size,
+                fmt="X" if changed[j] else "o", color=VERMILION if changed[j] else BLUE, capsize=2.5,
+            )  # fmt: skip
+            axes.set_title(symbol(name) + (" changed" if changed[j] else ""))
+            if dated:
+                axes.set_xticks([dates[0], dates[-1]], [f"{date:%Y-%m-%d}" for date in (dates[0], dates[-1])])
+            else:
+                axes.set_xticks(along)
+        figure.supylabel(f"less the first / {scale.per_g}, biases: {scale.unit}; bars k = 2", fontsize=8)
+
+    return svg_file("history", (7.4, 7.4), draw)

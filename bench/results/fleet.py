@@ -1,0 +1,464 @@
+"""The results of `bench fleet` about units: bench or block, priors, drift, capability; as JSON and as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from pydantic import Field
+from rich.console import Console
+
+from bench.base.arrays import Floats, u_of
+from bench.base.numbers import MINUS, fixed, places, quantity
+from bench.base.result_model import Matrix, Real, ResultModel
+from bench.base.tables import table
+from bench.calibration.conformity import COVERAGE_FACTOR
+from bench.history import bench_or_block, capability, drift, prior
+from bench.history.equivalence import STANDARD_GRAVITY
+from bench.model.geometry import COEFFICIENTS
+from bench.results.parts import ValuePart, by_coefficient, print_notes
+
+if TYPE_CHECKING:
+    pass
+
+MOST_SHOWN: Final = 12
+"""Benches or units that are named in a terminal; the JSON has all."""
+
+
+class FleetResult(ResultModel):
+    """What every result of the fleet has."""
+
+    signal: str = Field(description="unit of the signal; scale factors are per g")
+    simulated: bool = Field(description="whether the calibrations are of simulated runs")
+    calibrations: int
+    notes: list[str] = Field(description="what a reader should know")
+
+
+class LimitedPart(ResultModel):
+    """A size with its upper limit."""
+
+    value: float = Field(description="1 sigma")
+    at_most: Real = Field(description="upper limit of 95 %")
+
+
+def signed_size(value: float, unit: str) -> str:
+    """Return a size with its sign."""
+    return f"{MINUS if value < 0 else '+'}{quantity(abs(value), unit)}"
+
+
+def limit_in_words(limit: float | None, unit: str) -> str:
+    """Return an upper limit; None stands for one that is infinite."""
+    return quantity(math.inf if limit is None else limit, unit)
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+# --- is it the bench or the block ---------------------------------------------------------------------
+
+
+class SizePart(LimitedPart):
+    """What something differs by, 1 sigma, in the signal's unit (per g)."""
+
+    u: Real = Field(description="standard uncertainty of the value; null at zero")
+    p_all_looks: Real = Field(
+        default=None,
+        description="chance of as much where there is none, for all coefficients together; left out for units",
+    )
+    shown: bool = Field(default=False, description="whether that is below 5 %; left out for units")
+
+
+class AllotmentPart(ResultModel):
+    """Whether units came to benches by chance."""
+
+    chi2: float
+    dof: int
+    p: float
+    by_chance: bool = Field(description="where not, benches are compared within units alone")
+
+
+class RepeatsPart(ResultModel):
+    """Repeated calibrations of a unit on a bench."""
+
+    reduced_chi2: Real = Field(description="null without any")
+    dof: int
+
+
+class SizesPart(ResultModel):
+    """What the values of a coefficient differ by."""
+
+    unit: SizePart = Field(description="what units of a type differ by")
+    bench: SizePart = Field(description="what benches differ by")
+    excess: SizePart = Field(
+        description="what calibrations scatter by beyond their stated u, drift of units included"
+    )
+    stated_u_rms: float = Field(description="what is stated, without what the same meters bring again")
+    stated_of_meters_rms: float = Field(
+        description="what is stated of the meters: a part of what benches differ by"
+    )
+    shares_of_variance: dict[str, float] = Field(
+        description="of one calibration about the mean of its type: unit, bench, excess, stated"
+    )
+    allotment: AllotmentPart
+    scatter_of_repeats: RepeatsPart
+
+
+class EffectOfBench(ResultModel):
+    """The effect of a bench on a coefficient."""
+
+    effect: float
+    u: float
+    p_all_looks: float
+    shown: bool
+
+
+class ApartPart(ResultModel):
+    """A bench or unit that stands out."""
+
+    name: str
+    coefficient: str
+    effect: float = Field(description="from the mean of its set of benches, or of its type")
+    u: float
+    p_all_looks: float = Field(description="of all effects looked at (Holm)")
+
+
+class EffectsResult(FleetResult):
+    """Whether it is the bench or the block: what units, benches and time bring."""
+
+    units: int
+    benches: int
+    types: int
+    units_on_several_benches: int
+    connected: list[list[str]] = Field(
+        description="sets of benches that units join; effects are about the mean of a set"
+    )
+    coefficients: dict[str, SizesPart] = Field(description="by name")
+    benches_effects: dict[str, dict[str, EffectOfBench] | None] = Field(
+        description="by bench and coefficient; null for a bench that shares no unit with another"
+    )
+    benches_apart: list[ApartPart] = Field(description="benches that stand out")
+    units_apart: list[ApartPart] = Field(description="units that stand out of their type")
+    answer: str = Field(description="a sentence")
+
+
+def effects_result(found: bench_or_block.BenchOrBlock, notes: Sequence[str]) -> EffectsResult:
+    """Return sizes and effects of units and benches, as `--json` writes them."""
+    rows = zip(found.benches, found.effect, found.u, found.p_all_looks, strict=True)
+    return EffectsResult.from_object(
+        found,
+        **found.counts,
+        coefficients={name: _sizes(one) for name, one in zip(COEFFICIENTS, found.sizes, strict=True)},
+        benches_effects={
+            bench: None
+            if np.isnan(effect[0])
+            else by_coefficient(
+                EffectOfBench, effect=effect, u=u, p_all_looks=p, shown=p < bench_or_block.SHOWN_P
+            )
+            for bench, effect, u, p in rows
+        },
+        notes=[*found.notes, *notes],
+    )
+
+
+def _sizes(one: bench_or_block.Sizes) -> SizesPart:
+    return SizesPart(
+        unit=_size(one.unit),
+        bench=_size(one.bench),
+        excess=_size(one.excess),
+        stated_u_rms=one.stated,
+        stated_of_meters_rms=one.meters,
+        shares_of_variance=one.shares,
+        allotment=AllotmentPart.from_object(one.allotment, by_chance=one.by_chance),
+        scatter_of_repeats=RepeatsPart(reduced_chi2=one.scatter, dof=one.scatter_dof),
+    )
+
+
+def _size(size: bench_or_block.Size) -> SizePart:
+    asked = {} if math.isnan(size.p_all_looks) else {"p_all_looks": size.p_all_looks, "shown": size.shown}
+    return SizePart(value=size.value, u=size.u, at_most=size.most, **asked)
+
+
+def print_effects(result: EffectsResult, out: Console) -> None:
+    """Print sizes of what units, benches and time bring, who stands out, and the answer."""
+    out.print(
+        f"{result.calibrations} calibrations of {result.units} units ({result.types} types) on {result.benches} "
+        f"benches; {result.units_on_several_benches} units measured on several"
+    )
+    shown = table(
+        "coefficient", ">units differ", ">benches differ", ">at most", ">p, all looks", ">excess", ">p",
+        ">stated u", "",
+    )  # fmt: skip
+    signal = result.signal
+    for name, s in result.coefficients.items():
+        shown.add_row(
+            name, quantity(s.unit.value, signal), quantity(s.bench.value, signal),
+            limit_in_words(s.bench.at_most, signal), f"{_number(s.bench.p_all_looks):.2g}",
+            quantity(s.excess.value, signal), f"{_number(s.excess.p_all_looks):.2g}",
+            quantity(s.stated_u_rms, signal), "BENCHES DIFFER" if s.bench.shown else "",
+        )  # fmt: skip
+    out.print(shown)
+    for what, apart in (("bench", result.benches_apart), ("unit", result.units_apart)):
+        for one in apart[:MOST_SHOWN]:
+            sizes = f"{signed_size(one.effect, signal)}, u {quantity(one.u, signal)}"
+            out.print(f"{what} {one.name} stands out in {one.coefficient}: {sizes}")
+        if len(apart) > MOST_SHOWN:
+            out.print(f"… and {len(apart) - MOST_SHOWN} more, in the JSON")
+    print_notes(result.notes, out)
+    out.print(result.answer, style="bold")
+
+
+# --- a further unit of a type -------------------------------------------------------------------------
+
+
+class ExpectedPart(ResultModel):
+    """A coefficient of a further unit."""
+
+    mean: float
+    u: float = Field(description="of a further unit")
+    between_units: float = Field(description="what units differ by, 1 sigma, widened as of so few")
+    u_mean: float
+
+
+class PriorResult(FleetResult):
+    """What the units of a type tell of a further one; the file that bench calibrate --prior takes."""
+
+    type: str = Field(description="of the units")
+    per_g_m_s2: float = Field(description="the g that scale factors are per")
+    units: list[str] = Field(description="those behind it: it serves none of them")
+    benches: list[str]
+    last: str = Field(description="day of the last calibration")
+    dof: int = Field(description="degrees of freedom: one less than units")
+    shrunk: float = Field(description="part that was taken off the correlations, 0 to 1")
+    coefficients: dict[str, ExpectedPart] = Field(description="by name")
+    covariance: Matrix = Field(description="of a further unit, twelve by twelve")
+
+
+def prior_result(found: prior.Prior, notes: Sequence[str]) -> PriorResult:
+    """Return what is expected of a further unit, as `--json` and the file of the prior have it."""
+    return PriorResult.from_object(
+        found,
+        type=found.kind,
+        per_g_m_s2=STANDARD_GRAVITY,
+        coefficients=by_coefficient(
+            ExpectedPart,
+            mean=found.mean,
+            u=u_of(found.covariance),
+            between_units=found.between,
+            u_mean=found.mean_u,
+        ),
+        notes=[*found.notes, *notes],
+    )
+
+
+def print_prior(result: PriorResult, out: Console) -> None:
+    """Print what a further unit of a type is expected to be."""
+    out.print(
+        f"type {result.type}: {len(result.units)} units, {result.calibrations} calibrations on "
+        f"{len(result.benches)} benches; {result.dof} degrees of freedom, correlations shrunk by "
+        f"{100 * result.shrunk:.0f} %"
+    )
+    shown = table("coefficient", ">mean", ">u of a further unit", ">units differ by", ">u of the mean")
+    for name, one in result.coefficients.items():
+        digits = places(one.u)
+        sizes = (one.mean, one.u, one.between_units, one.u_mean)
+        shown.add_row(name, *(fixed(size, digits) for size in sizes))
+    out.print(shown)
+    print_notes(result.notes, out)
+
+
+# --- the drift of a unit ------------------------------------------------------------------------------
+
+
+class RatePart(ResultModel):
+    """The drift of a coefficient."""
+
+    value: float = Field(description="rate in a year")
+    u: float
+    p_all_looks: Real = Field(description="chance of such a rate, in any of the twelve")
+    shown: bool = Field(description="whether that is below 5 %")
+    between_calibrations: LimitedPart = Field(
+        description="scatter beyond stated u, by restricted likelihood; 0: none is shown"
+    )
+    random_walk: LimitedPart = Field(description="in a year, likewise")
+
+
+class ForetoldPoint(ResultModel):
+    """The coefficients at a day to come."""
+
+    at: str = Field(description="the day of --at")
+    coefficients: dict[str, ValuePart] = Field(description="by name")
+
+
+class DriftResult(FleetResult):
+    """What a unit's history tells of its drift."""
+
+    unit: str = Field(description="type and serial number")
+    per_g_m_s2: float = Field(description="the g that scale factors are per")
+    first: str = Field(description="day")
+    last: str = Field(description="day")
+    per_year: dict[str, RatePart] = Field(description="by name")
+    expected: ForetoldPoint | None
+
+
+def drift_result(found: drift.OfUnit, at: str | None, notes: Sequence[str]) -> DriftResult:
+    """Return the drift of a unit, and its coefficients at a day if one is asked for, as `--json` writes it.
+
+    Raises `CalibrationError` for a day before the last calibration, or one that is none.
+    """
+    own = found.drift
+    expected = None
+    if at is not None:
+        value, u = own.predicted(drift.day_of(at))
+        expected = ForetoldPoint(at=at, coefficients=by_coefficient(ValuePart, value=value, u=u))
+    return DriftResult.from_object(
+        found,
+        per_g_m_s2=STANDARD_GRAVITY,
+        calibrations=own.count,
+        first=str(own.first.astype("datetime64[D]")),
+        last=str(own.last.astype("datetime64[D]")),
+        per_year=by_coefficient(
+            RatePart, value=own.rate, u=own.u_rate, p_all_looks=own.p_all_looks, shown=own.shown,
+            between_calibrations=_limited(own.between, own.between_most),
+            random_walk=_limited(own.walk, own.walk_most),
+        ),
+        expected=expected,
+        notes=[*notes, *found.notes],
+    )  # fmt: skip
+
+
+def _limited(value: Floats, at_most: Floats) -> list[LimitedPart]:
+    return [LimitedPart(value=one, at_most=most) for one, most in zip(value, at_most, strict=True)]
+
+
+def print_drift(result: DriftResult, out: Console) -> None:
+    """Print rates, scatter and walk, and what is expected at a date."""
+    per = f"{result.signal}/g of {result.per_g_m_s2} m/s²"
+    out.print(f"{result.unit}: {result.calibrations} calibrations, {per}")
+    expected = result.expected
+    shown = table(
+        "coefficient", ">per year", ">u", ">p, all looks", ">scatter", ">at most", ">walk in a year",
+        ">at most", "",
+        *(() if expected is None else (f">at {expected.at}", ">u")),
+    )  # fmt: skip
+    for name, one in result.per_year.items():
+        digits = places(one.u)
+        limited = (one.between_calibrations, one.random_walk)
+        sizes = [fixed(_number(size), digits) for each in limited for size in (each.value, each.at_most)]
+        row = [name, fixed(one.value, digits, sign=True), fixed(one.u, digits)]
+        row += [f"{_number(one.p_all_looks):.2g}", *sizes, "DRIFTS" if one.shown else ""]
+        if expected is not None:
+            then = expected.coefficients[name]
+            row += [fixed(size, places(then.u)) for size in (then.value, then.u)]
+        shown.add_row(*row)
+    out.print(shown)
+    print_notes(result.notes, out)
+
+
+# --- the laboratory's capability ----------------------------------------------------------------------
+
+
+class ScatterPart(LimitedPart):
+    """What calibrations of a unit scatter by beyond stated u, without what units drift by, 1 sigma."""
+
+    value: float = Field(description="root of the mean square over what the calibrations leave open")
+    at_least: float = Field(description="lower limit of 95 %")
+
+
+class DriftOfUnits(ResultModel):
+    """What units drift by."""
+
+    rate: float = Field(description="per year, 1 sigma over units; 0 where none is taken out")
+    walk: float = Field(description="random walk in a year, 1 sigma; likewise")
+    p: float = Field(description="chance of as much")
+    taken_out: bool
+
+
+class CapabilityPart(ResultModel):
+    """The capability in a coefficient."""
+
+    U: float = Field(description="k = 2")
+    u: float
+    stated: LimitedPart
+    scatter_over_time: ScatterPart
+    between_benches: LimitedPart | None = Field(description="null for one bench alone")
+    drift_of_units: DriftOfUnits
+    calibrations_that_state_less: int
+
+
+class CapabilityResult(FleetResult):
+    """The laboratory's calibration and measurement capability, from its history."""
+
+    quantity: str
+    device: str
+    k: float = Field(description="coverage factor")
+    quantile: float = Field(description="share of everyday calibrations that reach it")
+    per_g_m_s2: float = Field(description="the g that scale factors are per")
+    units: int
+    benches: list[str]
+    days: int = Field(description="between the first and the last")
+    first: str = Field(description="day")
+    last: str = Field(description="day")
+    repeats: int = Field(description="calibrations of a unit beyond its first")
+    units_with_too_few_runs: int = Field(description="fewer than three, which tell no drift")
+    coefficients: dict[str, CapabilityPart] = Field(description="by name")
+
+
+def capability_result(found: capability.Capability, notes: Sequence[str]) -> CapabilityResult:
+    """Return the statement of capability, as `--json` writes it."""
+    columns: dict[str, Iterable[Any]] = {
+        "U": found.U,
+        "u": found.u,
+        "stated": _limited(found.stated, found.stated_most),
+        "scatter_over_time": [
+            ScatterPart(value=one.scatter, at_least=one.scatter_least, at_most=one.scatter_most)
+            for one in found.apart
+        ],
+        "between_benches": [
+            None if math.isnan(one.bench) else LimitedPart(value=one.bench, at_most=one.bench_most)
+            for one in found.apart
+        ],
+        "drift_of_units": [DriftOfUnits.from_object(one, taken_out=one.shown) for one in found.apart],
+        "calibrations_that_state_less": found.below.astype(int),
+    }
+    return CapabilityResult.from_object(
+        found,
+        **found.counts,
+        quantity="coefficients of a triaxial accelerometer block, by gravity",
+        device="the best existing: the blocks of the history",
+        k=COVERAGE_FACTOR,
+        per_g_m_s2=STANDARD_GRAVITY,
+        coefficients=by_coefficient(CapabilityPart, **columns),
+        notes=[*found.notes, *notes],
+    )
+
+
+def print_capability(result: CapabilityResult, out: Console) -> None:
+    """Print the statement of capability."""
+    signal = result.signal
+    out.print(
+        f"{'SIMULATED: ' if result.simulated else ''}calibration and measurement capability: coefficients of "
+        "triaxial accelerometer blocks by gravity, U with k=2"
+    )
+    out.print(
+        f"from {result.calibrations} calibrations of {result.units} units on {len(result.benches)} benches, "
+        f"{result.first} to {result.last}; stated u that {100 * result.quantile:.0f} % of them reach, "
+        "with what it has not in it"
+    )
+    shown = table(
+        "coefficient", ">U (k=2)", ">stated u", ">scatter over time", ">at most", ">between benches", ">state less",
+        "",
+    )  # fmt: skip
+    for name, one in result.coefficients.items():
+        per = "" if name.startswith("U0") else "/g"
+        between = one.between_benches
+        shown.add_row(
+            name, quantity(one.U, signal) + per, quantity(one.stated.value, signal),
+            quantity(one.scatter_over_time.value, signal), limit_in_words(one.scatter_over_time.at_most, signal),
+            "–" if between is None else quantity(between.value, signal), str(one.calibrations_that_state_less),
+            "units drift" if one.drift_of_units.taken_out else "",
+        )  # fmt: skip
+    out.print(shown)
+    print_notes(result.notes, out)

@@ -1,0 +1,165 @@
+"""The result of `bench learn`: what the runs of one bench share, as JSON and as text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pydantic import Field
+from rich.console import Console
+
+from bench.base.result_model import Matrix, Real, ResultModel, Vector
+from bench.base.tables import table
+from bench.history.learned import Contrasts, Learned, MeterDifferences
+from bench.results.parts import BenchPart
+
+
+class RecordPart(ResultModel):
+    """A run behind the sizes."""
+
+    name: str
+    readings: str = Field(description="SHA-256 of the readings file that they make")
+    head: str = Field(default="", description="head of the chain of the record")
+
+
+class ContradictionPart(ResultModel):
+    """A run that contradicts the others; it is left out."""
+
+    run: str
+    what: str
+    size: float = Field(description="times what the others lead to expect")
+    p: float = Field(description="chance of as much, adjusted for all looks (Holm)")
+    sentence: str
+
+
+class SizePart(ResultModel):
+    """A learned size."""
+
+    value: float
+    u: float = Field(description="standard uncertainty")
+    unit: str
+    dof: Real = Field(description="degrees of freedom; null for infinitely many")
+    told: bool = Field(description="whether the runs tell it; else it keeps its prior")
+
+
+class MeansPart(ResultModel):
+    """The covariance of the means and of the waves of the head."""
+
+    order: list[str]
+    covariance_rad2: Matrix
+
+
+class VariancesPart(ResultModel):
+    """The covariance of the variances of remounts (rad²) and of drift (unit²/h)."""
+
+    order: list[str]
+    covariance: Matrix
+
+
+class ContrastsPart(ResultModel):
+    """How the meters differ in gain or offset, SI."""
+
+    value: Vector = Field(description="of each meter, about the mean of its group")
+    covariance: Matrix
+    dof: list[Real] = Field(
+        description="of the difference from the first meter of the group; null is infinite"
+    )
+    between_runs: float = Field(
+        description="what a block adds from run to run beyond what is stated, as it counts"
+    )
+
+
+class MetersPart(ResultModel):
+    """How the voltmeters differ, by runs of one block with them exchanged."""
+
+    meters: list[str]
+    group: list[int] = Field(description="meters of one group were compared")
+    runs: list[str]
+    gain: ContrastsPart
+    offset_v: ContrastsPart
+
+
+class LearnResult(ResultModel):
+    """What the runs of one bench share."""
+
+    bench: BenchPart
+    learned_for: str = Field(description="hash of stand, head, installations and meters of the bench file")
+    made: str = Field(description="day")
+    expires: str = Field(description="day")
+    simulated: bool
+    records: list[RecordPart] = Field(description="the runs behind the sizes")
+    runs: list[str]
+    contradicting: list[ContradictionPart] = Field(
+        description="runs that contradict the others, the oddest first"
+    )
+    sizes: dict[str, SizePart]
+    means: MeansPart
+    variances: VariancesPart
+    meters: MetersPart | None = Field(description="null where these runs do not tell it")
+    not_identified: list[str] = Field(description="what these runs do not tell, and why")
+    effects: list[str] = Field(description="effects of the bench that the learned file holds")
+    notes: list[str]
+
+
+def learn_result(
+    found: Learned,
+    *,
+    bench: BenchPart,
+    learned_for: str,
+    made: str,
+    expires: str,
+    simulated: bool,
+    records: Sequence[RecordPart],
+    effects: Sequence[str],
+    notes: Sequence[str],
+) -> LearnResult:
+    """Return what was learned of a bench, with what it was learned from, as `--json` writes it."""
+    return LearnResult(
+        bench=bench,
+        learned_for=learned_for,
+        made=made,
+        expires=expires,
+        simulated=simulated,
+        records=list(records),
+        runs=list(found.runs),
+        contradicting=[ContradictionPart.from_object(one) for one in found.contradicting],
+        sizes={size.name: SizePart.from_object(size) for size in found.sizes()},
+        means=MeansPart(order=list(found.names), covariance_rad2=found.covariance),
+        variances=VariancesPart(
+            order=[one.name for one in found.variances], covariance=found.variances_covariance
+        ),
+        meters=None if isinstance(found.meters, str) else _meters(found.meters),
+        not_identified=found.not_identified(),
+        effects=list(effects),
+        notes=list(notes),
+    )
+
+
+def _meters(found: MeterDifferences) -> MetersPart:
+    return MetersPart.from_object(found, gain=_contrasts(found.gain), offset_v=_contrasts(found.zero))
+
+
+def _contrasts(found: Contrasts) -> ContrastsPart:
+    return ContrastsPart(
+        value=found.values,
+        covariance=found.covariance,
+        dof=found.freedom.tolist(),
+        between_runs=found.between,
+    )
+
+
+def print_learned(found: Learned, result: LearnResult, out: Console) -> None:
+    """Print what contradicts first, then the sizes, then what these runs do not tell."""
+    for one in result.contradicting:
+        out.print(f"{one.sentence} (p {one.p:.1g}, all looks counted); it is left out", style="bold")
+    kind = "simulated runs" if result.simulated else "runs"
+    out.print(f"Bench {result.bench.name}, learned from {len(result.runs)} {kind}, until {result.expires}:")
+    shown = table("size", ">value", ">u", ">dof", "", "")
+    for name, size in result.sizes.items():
+        dof = "many" if size.dof is None or size.dof >= 1e5 else f"{size.dof:.0f}"
+        told = "" if size.told else "as stated before"
+        shown.add_row(name, f"{size.value:.4g}", f"{size.u:.2g}", dof, size.unit, told)
+    out.print(shown)
+    for sentence in () if isinstance(found.meters, str) else found.meters.words():
+        out.print(sentence)
+    for sentence in result.not_identified:
+        out.print(f"not told: {sentence}")

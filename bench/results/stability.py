@@ -1,0 +1,198 @@
+"""The result of `bench stability`: noise and drift of a record at rest, as JSON, as text and as a figure."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydantic import Field
+from rich.console import Console
+from rich.table import Table
+
+from bench.base.arrays import CHANNELS
+from bench.base.numbers import MINUS, probability, quantity, scale_for
+from bench.base.result_model import Real, ResultModel, Vector
+from bench.base.tables import table
+from bench.history.stability import Stability
+from bench.results.parts import BenchPart, print_notes
+from bench.results.plots import BLUE, GREEN, GREY, VERMILION, svg_file
+from bench.stats.allan import MISFIT_P, TERMS, NoiseTerms
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class TermPart(ResultModel):
+    """A noise term, in the unit of the signal and seconds."""
+
+    value: Real = Field(description="null where it is not shown")
+    u: Real = Field(description="standard uncertainty; null where it is not shown")
+    upper: float = Field(description="upper limit")
+    called: str
+
+
+class AveragingPart(ResultModel):
+    """The averaging time that a channel deserves."""
+
+    tau_s: float
+    deviation: float = Field(description="Allan deviation then")
+    why: str
+    reached: bool = Field(description="false where a size was asked for that no averaging time reaches")
+
+
+class ChannelPart(ResultModel):
+    """A channel of the record."""
+
+    mean: float
+    drift_per_hour: float = Field(description="slope of the straight line through the signal")
+    tau_s: Vector = Field(description="averaging times")
+    allan_deviation: Vector = Field(description="overlapping")
+    low_95: Vector
+    high_95: Vector
+    edf: Vector = Field(description="degrees of freedom of each deviation")
+    terms: dict[str, TermPart] = Field(description="Q, N, B, K, R")
+    terms_p: Real = Field(description="chance of such a misfit of the five terms to the deviations")
+    averaging: AveragingPart
+
+
+class ReadingPart(ResultModel):
+    """A reading, for a procedure file."""
+
+    samples: int
+    nplc: float
+    averaging_s: float
+
+
+class StabilityResult(ResultModel):
+    """Allan deviation of a record at rest, and the reading that it deserves."""
+
+    source: str
+    unit: str = Field(description="of the signals")
+    samples: int
+    interval_s: float
+    channels: dict[str, ChannelPart] = Field(description="by channel")
+    reading: ReadingPart | None
+    no_reading: str | None = Field(description="why there is none")
+    bench: BenchPart
+
+
+def stability_result(found: Stability, bench: BenchPart) -> StabilityResult:
+    """Return what a record says, with the bench file that was taken, as `--json` writes it."""
+    record, advice = found.record, found.advice
+    return StabilityResult(
+        source=record.source,
+        unit=record.unit,
+        samples=len(record.signal),
+        interval_s=record.interval_s,
+        channels={channel: _channel(found, i) for i, channel in enumerate(CHANNELS)},
+        reading=None
+        if advice is None
+        else ReadingPart(samples=advice.samples, nplc=advice.nplc, averaging_s=advice.tau_s),
+        no_reading=found.no_advice or None,
+        bench=bench,
+    )
+
+
+def _channel(found: Stability, i: int) -> ChannelPart:
+    curve, terms, record = found.curves[i], found.terms[i], found.record
+    low, high = curve.limits(terms.freedom)
+    rows = zip(TERMS, terms.values, terms.u, terms.upper, terms.shown, strict=True)
+    return ChannelPart(
+        mean=record.mean[i],
+        drift_per_hour=record.drift_per_s[i] * 3600.0,
+        tau_s=curve.tau_s,
+        allan_deviation=curve.deviation,
+        low_95=low,
+        high_95=high,
+        edf=terms.freedom,
+        terms={
+            term.symbol: TermPart(
+                value=value if shown else None, u=u if shown else None, upper=upper, called=term.name
+            )
+            for term, value, u, upper, shown in rows
+        },
+        terms_p=terms.p,
+        averaging=AveragingPart.from_object(found.averages[i]),
+    )
+
+
+# --- as text ------------------------------------------------------------------------------------------
+
+
+def print_stability(found: Stability, out: Console) -> None:
+    """Print noise terms and averaging time of each channel, and the reading that follows."""
+    record = found.record
+    out.print(
+        f"Static record {record.source}: {len(record.signal)} samples of {record.interval_s:.4g} s, "
+        f"{record.duration_s:.4g} s, in {record.unit}"
+    )
+    out.print(_table(found))
+    for channel, average, terms in zip(CHANNELS, found.averages, found.terms, strict=True):
+        out.print(f"channel {channel}: {average.tau_s:.3g} s: {average.why}")
+        if terms.p < MISFIT_P:
+            misfit = (
+                f"channel {channel}: the five noise terms alone do not make this curve "
+                f"({probability(terms.p)}): vibration or another line is in it; their uncertainties "
+                "are widened"
+            )
+            print_notes([misfit], out)
+    if found.advice is None:
+        out.print(f"no reading follows: {found.no_advice}")
+        return
+    out.print(
+        f"a reading that integrates for {found.advice.tau_s:.3g} s at {found.line_frequency_hz:g} Hz "
+        f"(settling and the meter's own pauses come on top):"
+    )
+    out.print(found.advice.line())
+
+
+def _table(found: Stability) -> Table:
+    """A column for each channel: mean, drift, the noise terms with u or what they are below, the averaging."""
+    record, unit = found.record, found.record.unit
+    shown = table("", *(f">{channel}" for channel in CHANNELS))
+    shown.add_row("mean", *(f"{mean:.7g} {unit}" for mean in record.mean))
+    slopes = (3600.0 * record.drift_per_s).tolist()
+    shown.add_row("drift", *(f"{MINUS if s < 0 else ''}{quantity(abs(s), unit)}/h" for s in slopes))
+    for k, term in enumerate(TERMS):
+        shown.add_row(f"{term.name} {term.symbol}", *(_term(terms, k, unit) for terms in found.terms))
+    shown.add_row("averaging time", *(f"{average.tau_s:.3g} s" for average in found.averages))
+    shown.add_row("noise left", *(quantity(average.deviation, unit) for average in found.averages))
+    return shown
+
+
+def _term(terms: NoiseTerms, k: int, unit: str) -> str:
+    if terms.shown[k]:
+        share = terms.u[k] / terms.values[k]
+        return f"{quantity(float(terms.values[k]), unit)}{TERMS[k].unit} ± {100 * share:.1f} %"
+    return f"< {quantity(float(terms.upper[k]), unit)}{TERMS[k].unit}"
+
+
+# --- as a figure --------------------------------------------------------------------------------------
+
+
+def allan_figure(found: Stability) -> str:
+    """Return an SVG file: deviation with 95 % limits, the noise terms' sum, the averaging time chosen."""
+    curves, terms, tau_s = found.curves, found.terms, found.longest_s
+    scale = scale_for(min(float(curve.deviation.min()) for curve in curves), found.record.unit)
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        look = zip(CHANNELS, (BLUE, VERMILION, GREEN), ("o", "s", "^"), curves, terms, strict=True)
+        for channel, colour, marker, curve, term in look:
+            low, high = curve.limits(term.freedom)
+            reach = np.stack([curve.deviation - low, high - curve.deviation]) / scale.size
+            axes.errorbar(
+                curve.tau_s, curve.deviation / scale.size, reach,
+                fmt=marker, color=colour, capsize=2, linewidth=0.9, label=f"channel {channel}",
+            )  # fmt: skip
+            fine = np.geomspace(curve.tau_s[0], curve.tau_s[-1], 200)
+            axes.plot(fine, term.deviation(fine) / scale.size, color=colour, linewidth=0.8, alpha=0.7)
+        axes.axvline(tau_s, color=GREY, linestyle=(0, (4, 3)), linewidth=0.9)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlabel("averaging time / s")
+        axes.set_ylabel(f"Allan deviation / {scale.unit}")
+        axes.set_title(f"overlapping, limits 95 %; lines: the noise terms; dashed: {tau_s:.3g} s")
+        figure.legend(loc="outside upper center", ncols=3)
+
+    return svg_file("allan", (6.4, 4.2), draw)
