@@ -20,7 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from bench.certificate.life import issue_all
-from bench.certificate.signature.signatory import signatory_of
+from bench.certificate.signatory import signatory_of
 from benchmarks.certificate_desk import prepare
 from drivers.clock import utc_now
 

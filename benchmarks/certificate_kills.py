@@ -28,7 +28,7 @@ from bench.services.errors import Refused
 from benchmarks.certificate_desk import prepare
 
 NEEDED = (
-    "bench.certificate.dcc.document", "bench.certificate.paper.proof", "matplotlib.backends.backend_svg", "typst",
+    "bench.certificate.dcc.document", "bench.certificate.proof", "matplotlib.backends.backend_svg", "typst",
 )  # fmt: skip
 SPREAD = 3.0
 """A program is killed within the time of so many certificates."""

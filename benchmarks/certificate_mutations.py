@@ -38,10 +38,10 @@ from bench.certificate.content import Issue
 from bench.certificate.dcc.document import document_of
 from bench.certificate.gather import certificate_of
 from bench.certificate.laboratory import load_laboratory, load_order
-from bench.certificate.paper.page import body_of
-from bench.certificate.signature.signatory import new_certificate_key, signatory_of
-from bench.certificate.signature.xades import NotIntact, check_xml, sign_pdf, sign_xml
-from bench.certificate.verify.verdict import verify_certificate
+from bench.certificate.page import body_of
+from bench.certificate.signatory import new_certificate_key, signatory_of
+from bench.certificate.signatures import NotIntact, check_xml, sign_pdf, sign_xml
+from bench.certificate.verify import verify_certificate
 from bench.config.shipped import CERTIFICATE, shipped_folder
 
 REFUSED, UNCHANGED, CHANGED = "refused", "unchanged", "CHANGED"

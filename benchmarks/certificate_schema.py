@@ -24,11 +24,10 @@ from bench.certificate.content import Before, Certificate, Issue
 from bench.certificate.dcc.document import document_of
 from bench.certificate.dcc.rules import Schemas, broken_rules, parser, read_schemas
 from bench.certificate.gather import certificate_of
-from bench.certificate.laboratory import Adjusted
+from bench.certificate.laboratory import Adjusted, texts_of
 from bench.certificate.life import Desk
-from bench.certificate.signature.signatory import new_certificate_key, signatory_of
-from bench.certificate.signature.xades import sign_xml
-from bench.certificate.texts import texts_of
+from bench.certificate.signatory import new_certificate_key, signatory_of
+from bench.certificate.signatures import sign_xml
 from benchmarks.certificate_desk import prepare
 from drivers.clock import utc_now
 

@@ -23,8 +23,15 @@ from bench.calibration.conformity import (
     Statement,
 )
 from bench.calibration.verification import by_rule
-from bench.certificate.laboratory import Laboratory, Order, Person, UnitOrder
-from bench.certificate.texts import Texts
+from bench.certificate.laboratory import (
+    Laboratory,
+    Order,
+    Person,
+    StatedField,
+    Texts,
+    UnitOrder,
+    stated_fields,
+)  # fmt: skip
 from bench.config.devices.device import Certificate as Held
 from bench.services.calibration import CalibrationResult
 from bench.services.verification import VerificationResult
@@ -309,6 +316,11 @@ class Certificate:
             "external": external or [("none_stated", {})],
             "supplied": [("supplied_order", {}), *supplied],
         }
+
+    @property
+    def stated(self) -> tuple[StatedField, ...]:
+        """What laboratory and order files state beside what every certificate has."""
+        return tuple(stated_fields(self.laboratory, self.unit, self.order))
 
     @property
     def terms(self) -> tuple[str, ...]:

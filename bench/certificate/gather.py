@@ -32,8 +32,7 @@ from bench.certificate.content import (
     Values,
     uncertified,
 )
-from bench.certificate.laboratory import Laboratory, Order
-from bench.certificate.texts import Texts, texts_of
+from bench.certificate.laboratory import Laboratory, Order, Texts, texts_of
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.columns import current_column, rails_of, voltage_column
 from bench.readings.csv import format_csv
@@ -92,7 +91,10 @@ def texts_for(laboratory: Laboratory | None) -> tuple[Texts, ...]:
     """Return the words in the languages of a laboratory, with its own in place of some."""
     if laboratory is None:
         return (texts_of(_FIRST_LANGUAGE),)
-    return tuple(texts_of(name).with_own(laboratory.texts.get(name, {})) for name in laboratory.language)
+    return tuple(
+        Texts(name, {**texts_of(name).entries, **laboratory.texts.get(name, {})})
+        for name in laboratory.language
+    )
 
 
 def missing(certificate: Certificate) -> tuple[str, ...]:

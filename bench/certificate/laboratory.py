@@ -1,12 +1,19 @@
-"""Laboratory files and order files: who calibrates, who asked for what."""
+"""Laboratory files and order files: who calibrates, who asked for what, and the words of a certificate.
+
+A new field of these files stands on the certificate where it is marked with `OnCertificate` and has words in
+`words.yaml` under its name: on the page that the mark names, and as a statement in the DCC.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
+import yaml
 from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
 
 from bench.base.yaml_files import (
@@ -19,7 +26,6 @@ from bench.base.yaml_files import (
     unknown_word,
     validated,
 )
-from bench.certificate.texts import LANGUAGES, texts_of
 from bench.config.bench_file.stand import StatedRule
 from bench.config.devices.device import Day
 
@@ -28,6 +34,64 @@ SIMULATED_SERIES: Final = "SIM-"
 
 _FIELD: Final = re.compile(r"\{(year|count)(?::0?([1-9]))?\}")
 _PLAIN: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,60}")
+
+
+_WORDS: Final = yaml.safe_load(Path(__file__).with_name("words.yaml").read_text(encoding="utf-8"))
+LANGUAGES: Final = tuple(sorted({language for words in _WORDS.values() for language in words}))
+"""The languages there are, by the code of ISO 639-1."""
+
+_BLANK: Final = re.compile(r"\{([a-z_]+)\}")
+
+
+@dataclass(frozen=True)
+class Texts:
+    """The words of a certificate in one language, by their keys; `{name}` in one is a blank."""
+
+    language: str
+    entries: Mapping[str, str]
+
+    def say(self, key: str, **values: object) -> str:
+        """Return a text with its blanks filled. Raises `KeyError` for an unknown key or a blank without value."""
+        return _BLANK.sub(lambda blank: str(values[blank[1]]), self.entries[key])
+
+
+@cache
+def texts_of(language: str) -> Texts:
+    """Return the texts of a language of `LANGUAGES`."""
+    return Texts(language, {key: str(words[language]).strip() for key, words in _WORDS.items()})
+
+
+@dataclass(frozen=True)
+class OnCertificate:
+    """Marks a field of a laboratory or order file that stands on the certificate under its own name.
+
+    `page` is where on paper: "front", "method" or "conditions". A row that is also there where nothing is stated
+    says `otherwise` then (a key of texts), and stands before the others.
+    """
+
+    page: Literal["front", "method", "conditions"]
+    otherwise: str = ""
+
+
+@dataclass(frozen=True)
+class StatedField:
+    """What a file states for a certificate: `key` of its words, `texts` as the file has them, none if nothing."""
+
+    key: str
+    texts: tuple[str, ...]
+    place: OnCertificate
+
+
+def stated_fields(
+    laboratory: Laboratory | None, unit: UnitOrder | None, order: Order | None
+) -> Iterator[StatedField]:
+    """Yield all fields of laboratory and order files that are marked with `OnCertificate`."""
+    for model, file in ((Laboratory, laboratory), (UnitOrder, unit), (Order, order)):
+        for name, field in (type(file) if file else model).model_fields.items():
+            for place in (one for one in field.metadata if isinstance(one, OnCertificate)):
+                value = getattr(file, name, None)
+                several = value if isinstance(value, tuple) else () if value is None else (value,)
+                yield StatedField(name, tuple(map(str, several)), place)
 
 
 class Address(FileModel):
@@ -101,7 +165,7 @@ class Laboratory(Contact, StatedRule):
     accreditation: Accreditation | None = None
     logo: str | None = None
     place: str
-    environment: str | None = None
+    environment: Annotated[str | None, OnCertificate("conditions")] = None
     numbers: str = "{year}-{count:04}"
     register_: Annotated[str, Field(alias="register")]
     authorised: Annotated[tuple[Person, ...], Field(min_length=1)]
@@ -195,6 +259,9 @@ class Adjusted(FileModel):
     what: str
     as_found: str | None = None
 
+    def __str__(self) -> str:
+        return self.what
+
 
 class External(FileModel):
     """Results that another body provided: `what` they are, `by` whom (ISO/IEC 17025:2017, 7.8.2.1 p)."""
@@ -227,8 +294,8 @@ class UnitOrder(FileModel):
     condition: str
     calibrated: Day | None = None
     state: Literal["as found", "as left"]
-    adjusted: Adjusted | None = None
-    deviations: tuple[str, ...] = ()
+    adjusted: Annotated[Adjusted | None, OnCertificate("method")] = None
+    deviations: Annotated[tuple[str, ...], OnCertificate("method", "no_deviations")] = ()
 
     @model_validator(mode="after")
     def _left_where_adjusted(self) -> UnitOrder:
@@ -254,7 +321,7 @@ class Order(StatedRule):
     date: Day | None = None
     units: Annotated[tuple[UnitOrder, ...], Field(min_length=1)]
     place: str | None = None
-    agreed: tuple[str, ...] = ()
+    agreed: Annotated[tuple[str, ...], OnCertificate("method")] = ()
     without_certificates: str | None = None
     sampling: str | None = None
     external: tuple[External, ...] = ()

@@ -21,7 +21,7 @@ from bench.services.errors import Refused, sentence
 
 if TYPE_CHECKING:
     from bench.certificate.dcc.rules import Schemas
-    from bench.certificate.signature.signatory import Signatory
+    from bench.certificate.signatory import Signatory
 
 
 @dataclass(frozen=True)
@@ -262,7 +262,7 @@ def bodies_of(certificate: Certificate, schemas: Schemas | None = None) -> Bodie
 
 
 def _body(certificate: Certificate, xml: bytes) -> bytes:
-    from bench.certificate.paper.page import body_of
+    from bench.certificate.page import body_of
 
     return body_of(certificate, xml)
 
@@ -274,7 +274,7 @@ def signed(
     number = certificate.number
     if signatory is None:
         return {f"{number}.xml": bodies.xml, f"{number}.pdf": bodies.pdf}
-    from bench.certificate.signature.xades import sign_pdf, sign_xml
+    from bench.certificate.signatures import sign_pdf, sign_xml
 
     xml = sign_xml(bodies.xml, signatory, now)
     title = certificate.texts[0].say("title")

@@ -255,7 +255,7 @@ def verify(
 ) -> int:
     """Whether a certificate is intact, who signed it and whether it still holds; exit status 1 where not."""
     from bench.certificate.laboratory import load_laboratory
-    from bench.certificate.verify.verdict import verify_certificate
+    from bench.certificate.verify import verify_certificate
     from bench.cli.certificate_verdict import print_verdict
 
     printing.check_target(json)
@@ -359,7 +359,7 @@ def _desk(
         schemas = read_schemas(schema)
     signatory = None
     if key is not None:
-        from bench.certificate.signature.signatory import signatory_of
+        from bench.certificate.signatory import signatory_of
         from bench.cli.passphrase import passphrase as typed
 
         signatory = signatory_of(key, chain, lambda: typed("Passphrase of the key: "), utc_now())

@@ -9,8 +9,8 @@ from bench.base.text import visible
 from bench.cli import printing
 
 if TYPE_CHECKING:
-    from bench.certificate.verify.shown import Shown
-    from bench.certificate.verify.verdict import Verdict
+    from bench.certificate.dcc.shown import Shown
+    from bench.certificate.verify import Verdict
 
 
 def print_verdict(verdict: Verdict, on: Any) -> None:

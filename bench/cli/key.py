@@ -39,7 +39,7 @@ def key(
     if certificate is None:
         public, fingerprint = new_key(file, cover)
     else:
-        from bench.certificate.signature.signatory import new_certificate_key
+        from bench.certificate.signatory import new_certificate_key
 
         public, fingerprint = new_certificate_key(file, certificate, cover, utc_now())
     out.print(f"private key: {file} (keep it; who has it signs in the laboratory's name)")

@@ -35,7 +35,7 @@ def page() -> str:
 
 def write_example(reference: Path) -> None:
     """Write both forms of a certificate, pictures of its pages and the part of the page that shows them."""
-    from bench.certificate.verify.verdict import verify_certificate
+    from bench.certificate.verify import verify_certificate
 
     folder = reference / _FILES
     folder.mkdir(parents=True, exist_ok=True)
@@ -59,9 +59,9 @@ def _made(folder: Path) -> tuple[bytes, bytes, list[bytes]]:
     from bench.certificate.dcc.document import document_of
     from bench.certificate.gather import certificate_of, issued_at
     from bench.certificate.laboratory import load_laboratory, load_order
-    from bench.certificate.paper.page import body_of, pictures_of
-    from bench.certificate.signature.signatory import new_certificate_key, signatory_of
-    from bench.certificate.signature.xades import sign_pdf, sign_xml
+    from bench.certificate.page import body_of, pictures_of
+    from bench.certificate.signatory import new_certificate_key, signatory_of
+    from bench.certificate.signatures import sign_pdf, sign_xml
     from bench.cli.app import main
     from bench.config.shipped import CERTIFICATE, shipped_folder
     from drivers.clock import utc_now

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.certificate.paper import proof
+from bench.certificate import proof
 from benchmarks import certificate_mutations as mutations
 from tests.support.certificates import RECORDED
 

@@ -1,12 +1,24 @@
 """Laboratory and order files: read whole, every mistake told at once with its line."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
 import pytest
 
 from bench.base.yaml_files import FileMistakes
-from bench.certificate.laboratory import load_laboratory, load_order
-from bench.certificate.texts import LANGUAGES, texts_of
+from bench.certificate.dcc.document import document_of
+from bench.certificate.laboratory import (
+    LANGUAGES,
+    OnCertificate,
+    UnitOrder,
+    load_laboratory,
+    load_order,
+    stated_fields,
+    texts_of,
+)
+from bench.certificate.page import data_of
 from bench.config.shipped import CERTIFICATE, shipped_folder
 from tests.support.certificates import write_files
 
@@ -76,14 +88,41 @@ def test_mistakes_between_the_units_of_an_order_are_told(tmp_path):
 
 
 def test_languages_say_the_same_things():
-    keys = {language: set(texts_of(language).entries) for language in LANGUAGES}
-    assert set(LANGUAGES) == {"en", "de"}
-    assert keys["en"] == keys["de"]
-    import re
-
-    for key in keys["en"]:
-        blanks = {frozenset(re.findall(r"\{\w+\}", texts_of(name).entries[key])) for name in LANGUAGES}
+    english, german = (texts_of(language).entries for language in ("en", "de"))
+    assert LANGUAGES == ("de", "en")
+    for key in english:
+        blanks = {frozenset(re.findall(r"\{\w+\}", text)) for text in (english[key], german[key])}
         assert len(blanks) == 1, key
+
+
+def test_every_field_that_stands_on_the_certificate_has_words():
+    for one in stated_fields(None, None, None):
+        assert {one.key, one.place.otherwise} <= {"", *texts_of("en").entries}
+
+
+class UnitWithColour(UnitOrder):
+    colour: Annotated[str | None, OnCertificate("front")] = None
+    seals: Annotated[tuple[str, ...], OnCertificate("method", "none_stated")] = ()
+
+
+@pytest.mark.parametrize("stated", [{"colour": "red", "seals": ("S 1", "S 2")}, {}])
+def test_a_new_field_is_a_line_of_its_file_and_its_words(issued_certificate, stated):
+    """It is on its page and in the DCC: nothing but the model of the file and `words.yaml` changes."""
+    unit = UnitWithColour(**{**issued_certificate.unit.model_dump(), **stated})
+    words = [
+        replace(one, entries={**one.entries, "colour": "Colour", "seals": "Seals"})
+        for one in issued_certificate.texts
+    ]
+    certificate = replace(issued_certificate, unit=unit, texts=tuple(words))
+    document = document_of(certificate)
+    pages = data_of(certificate, document)
+    front, method = ([row for block in pages[part] if block["kind"] == "pairs" for row in block["rows"]]
+                     for part in ("front", "proof"))  # fmt: skip
+    assert ([["Colour", "Colour"], ["red"]] in front) is bool(stated)
+    (seals,) = (lines for heading, lines in method if heading == ["Seals", "Seals"])
+    assert seals == ["S 1", "S 2"] if stated else seals == [[one.say("none_stated") for one in words]]
+    for text in ("red", "S 1", "S 2"):
+        assert (f">{text}</dcc:content>".encode() in document) is bool(stated)
 
 
 def test_a_laboratory_may_have_words_of_its_own(tmp_path):

@@ -13,7 +13,7 @@ from bench.calibration.conformity import DecisionRule
 from bench.certificate.content import Issue, rule_said
 from bench.certificate.gather import certificate_of, missing
 from bench.certificate.laboratory import Adjusted, Person, load_laboratory, load_order
-from bench.certificate.verify.record import held_against_record
+from bench.certificate.verify import held_against_record
 from bench.services.errors import Refused
 from tests.support.certificates import ORDER, RECORDED, copy_run, write_files
 

@@ -8,7 +8,7 @@ import pytest
 from lxml import etree
 
 from bench.certificate.dcc.nodes import NAMESPACES
-from bench.certificate.signature.xades import check_xml
+from bench.certificate.signatures import check_xml
 from tests.support.certificates import ORDER, RECORDED, copy_run, write_files
 from tests.support.schemas import keeps_to
 
@@ -57,7 +57,7 @@ def test_the_unsigned_certificate_is_made_again_byte_for_byte(bench, desk, tmp_p
     key = tmp_path / "keys" / "laboratory.pem"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("bench.cli.passphrase.passphrase", lambda *_: b"", raising=True)
-        from bench.certificate.signature.signatory import new_certificate_key
+        from bench.certificate.signatory import new_certificate_key
         from drivers.clock import utc_now
 
         new_certificate_key(key, "Laboratory", None, utc_now())

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.certificate.paper import proof
+from bench.certificate import proof
 from tests.support.certificates import ORDER, copy_run, write_files
 from tests.support.schemas import keeps_to
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from bench.cli import following as following_command
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.diagnosis import Threshold, ThresholdCache, diagnose
 from bench.diagnosis.linear import make_linear
 from bench.diagnosis.next_measurement import MENU, following, planned_readings, propose
+from bench.diagnosis.next_measurement import following as following_command
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.visibility import EffectPart, ReadingDesign, forms_everywhere
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel

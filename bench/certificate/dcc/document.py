@@ -14,8 +14,7 @@ from lxml import etree
 from bench.certificate.content import Attached, Before, Certificate, Issue
 from bench.certificate.dcc.nodes import NAMESPACES, VERSION, Node, node, plain, said
 from bench.certificate.dcc.results import measurement_results
-from bench.certificate.laboratory import Contact, Laboratory, Order, UnitOrder
-from bench.certificate.texts import Texts
+from bench.certificate.laboratory import Contact, Laboratory, Order, Texts, UnitOrder
 
 _XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"
 _PLACE: Final = f"{NAMESPACES['dcc']} {NAMESPACES['dcc']}/v{VERSION}/dcc.xsd"
@@ -221,10 +220,8 @@ def _statements(whole: _Whole) -> Iterator[Node]:
         refType="bench_traceability",
     )
     yield _statement("state", *said(texts, unit.state.replace(" ", "_")), name=said(texts, "state"))
-    stated = [("place", certificate.place), ("environment", whole.laboratory.environment)]
-    stated += [("adjusted", unit.adjusted.what)] if unit.adjusted is not None else []
-    stated += [("deviations", text) for text in unit.deviations]
-    stated += [("agreed", text) for text in order.agreed]
+    stated = [("place", certificate.place)]
+    stated += [(one.key, text) for one in certificate.stated for text in one.texts]
     for key, text in stated:
         if text:
             yield _statement(key, plain(text), name=said(texts, key))

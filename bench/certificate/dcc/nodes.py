@@ -11,7 +11,7 @@ from typing import Final
 from lxml import etree
 
 from bench.base.text import visible
-from bench.certificate.texts import Texts
+from bench.certificate.laboratory import Texts
 
 VOLT: Final = r"\volt"
 ONE: Final = r"\one"

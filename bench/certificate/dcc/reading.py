@@ -19,12 +19,11 @@ from pydantic import ValidationError
 from bench.base.arrays import Floats
 from bench.base.files import from_text, read_regular
 from bench.base.text import visible
-from bench.certificate.dcc.lists import Dimension, NotRead, RealList, real_lists
-from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, Node
+from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, Node, read_unit
 from bench.certificate.dcc.rules import parser
 from bench.config.devices.device import ChamberCertificate, HeadCertificate
 from bench.model.geometry import COEFFICIENTS
-from bench.services.coefficients import coefficients_of
+from bench.services.coefficients import coefficients_of, impossible
 from bench.services.errors import Refused
 
 MOST_BYTES: Final = 64_000_000
@@ -63,8 +62,8 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
         raise Refused(f"{path}: not a digital calibration certificate (DCC)")
     if root.find(f".//{{{SIGNATURE}}}Signature") is None:
         return root, ("nobody signed this document",)
-    from bench.certificate.signature.signatory import name_of
-    from bench.certificate.signature.xades import NotIntact, check_xml
+    from bench.certificate.signatory import name_of
+    from bench.certificate.signatures import NotIntact, check_xml
 
     try:
         signed = check_xml(content)
@@ -353,3 +352,177 @@ def _checked(stated: dict[str, Any], values: list[dict[str, str]]) -> Iterator[s
     except ValidationError as error:
         for one in error.errors()[:5]:
             yield f"a bench file does not take this as it is: {one['msg'].removeprefix('Value error, ')}"
+
+
+# --- lists of real quantities in any DCC, whoever wrote it ----------------------------------------------
+
+Dimension = tuple[tuple[str, int], ...]
+
+
+class NotRead(ValueError):
+    """A list is not what D-SI says; the text says where and why."""
+
+
+@dataclass(frozen=True)
+class RealList:
+    """A list as it stands in a document: values (n,) in SI units, their dimensions, what is known of u.
+
+    `covariance` (n, n) is None where the document states none, `u` (n,) where it states nothing univariate either.
+    `roles` are the words of refType of it and of what it stands in.
+    """
+
+    line: int
+    labels: tuple[str, ...]
+    values: Floats
+    dimensions: tuple[Dimension, ...]
+    covariance: Floats | None
+    u: Floats | None
+    roles: frozenset[str]
+
+    @property
+    def words(self) -> str:
+        """What it is, for a sentence."""
+        named = f": {' '.join(self.labels[:12])}" if self.labels else ""
+        return f"line {self.line}, {len(self.values)} values{named}"
+
+
+def real_lists(root: Node) -> Iterator[RealList]:
+    """Yield the lists of a document, of either form. Raises `NotRead` for one that is not what D-SI says."""
+    for element in root.iter(f"{{{SI}}}realListXMLList"):
+        values = _floats(element, "si:valueXMLList")
+        units = _words(element, "si:unitXMLList")
+        units = units * len(values) if len(units) == 1 else units
+        yield _made(element, _words(element, "si:labelXMLList"), values, units, _sizes(element))
+    for element in root.iter(f"{{{SI}}}realList"):
+        members = element.findall("si:real", NAMESPACES)
+        common = element.findtext("si:listUnit", "", NAMESPACES)
+        labels = [one.findtext("si:label", "", NAMESPACES).strip() for one in members]
+        values = np.array([_number(one, _text(one, "si:value")) for one in members])
+        units = [one.findtext("si:unit", common, NAMESPACES) for one in members]
+        sizes = [_u_of(one) for one in members]
+        known = [size for size in sizes if size is not None]
+        u = np.array(known) if len(known) == len(members) else None
+        yield _made(element, labels if all(labels) else [], values, units, u)
+
+
+def _made(element: Node, labels: list[str], values: Floats, units: list[str], u: Floats | None) -> RealList:
+    """Return a list of values and u in `units` as one in SI units."""
+    factors, dimensions = _units(element, units, len(values))
+    if u is not None and len(u) not in {1, len(values)}:
+        raise NotRead(f"line {element.sourceline}: {len(values)} values, but {len(u)} uncertainties")
+    columns = [
+        (_floats(column, ".//si:valueXMLList"), _words(column, ".//si:unitXMLList"))
+        for column in element.findall(".//si:covarianceMatrixXMLList/si:columnXMLList", NAMESPACES)
+    ]
+    columns += [
+        (
+            np.array([_number(one, _text(one, "si:value")) for one in column]),
+            [_text(one, "si:unit") for one in column],
+        )
+        for column in element.findall(".//si:covarianceMatrix/si:column", NAMESPACES)
+    ]
+    within = [element, *element.iterancestors(f"{{{DCC}}}*")]
+    return RealList(
+        int(str(element.sourceline or 0)),
+        tuple(labels),
+        values * factors,
+        dimensions,
+        _covariance(element, columns, dimensions) if columns else None,
+        None if u is None else u * np.abs(factors),
+        frozenset(word for one in within for word in (one.get("refType") or "").split()),
+    )
+
+
+_UNCERTAINTIES: Final = (
+    ("valueExpandedMU", "coverageFactor"), ("uncertainty", "coverageFactor"), ("valueStandardMU", ""),
+    ("standardUnc", ""),
+)  # fmt: skip
+"""Elements that state an uncertainty, with that of its k; in a list each ends in XMLList."""
+
+
+def _sizes(element: Node) -> Floats | None:
+    """Return the standard uncertainties of a list, one of each value or one of all; None where it states none."""
+    for name, factor in _UNCERTAINTIES:
+        text = element.findtext(f"si:*//si:{name}XMLList", None, NAMESPACES)
+        if text is not None:
+            k = _floats(element, f"si:*//si:{factor}XMLList") if factor else np.ones(1)
+            return np.asarray(_numbers(element, text) / k, dtype=np.float64)
+    return None
+
+
+def _u_of(element: Node) -> float | None:
+    """Return the standard uncertainty of a single value; None where it states none."""
+    for name, factor in _UNCERTAINTIES:
+        size = element.findtext(f".//si:{name}", None, NAMESPACES)
+        if size is not None:
+            k = _number(element, _text(element, f".//si:{factor}")) if factor else 1.0
+            return _number(element, size) / k
+    return None
+
+
+def _units(element: Node, units: list[str], count: int) -> tuple[Floats, tuple[Dimension, ...]]:
+    if len(units) != count:
+        raise NotRead(f"line {element.sourceline}: {count} values, but {len(units)} units")
+    try:
+        read = [read_unit(unit) for unit in units]
+    except ValueError as error:
+        raise NotRead(f"line {element.sourceline}: {error}") from None
+    return np.array([factor for factor, _ in read]), tuple(tuple(sorted(d.items())) for _, d in read)
+
+
+def _covariance(
+    element: Node, columns: list[tuple[Floats, list[str]]], dimensions: tuple[Dimension, ...]
+) -> Floats:
+    """Return a covariance in SI units. Raises `NotRead` for a matrix that is none, or of other units."""
+    count = len(dimensions)
+    if len(columns) != count or any(len(values) != count for values, _ in columns):
+        raise NotRead(f"line {element.sourceline}: {count} values, but a covariance of another size")
+    matrix = np.zeros((count, count))
+    for j, (values, units) in enumerate(columns):
+        factors, found = _units(element, units * count if len(units) == 1 else units, count)
+        for i in range(count):
+            if found[i] != _times(dimensions[i], dimensions[j]):
+                raise NotRead(
+                    f"line {element.sourceline}: the covariance of values {i + 1} and {j + 1} has another unit "
+                    "than their product"
+                )
+        matrix[:, j] = values * factors
+    if why := impossible(matrix):
+        raise NotRead(f"line {element.sourceline}: {why}")
+    return matrix
+
+
+def _times(first: Dimension, second: Dimension) -> Dimension:
+    powers = dict(first)
+    for base, power in second:
+        powers[base] = powers.get(base, 0) + power
+    return tuple(sorted((base, power) for base, power in powers.items() if power))
+
+
+def _text(element: Node, path: str) -> str:
+    text = element.findtext(path, None, NAMESPACES)
+    if text is None:
+        raise NotRead(f"line {element.sourceline}: there is no {path.rsplit(':', 1)[-1]}")
+    return text
+
+
+def _words(element: Node, path: str) -> list[str]:
+    return (element.findtext(path, "", NAMESPACES)).split()
+
+
+def _floats(element: Node, path: str) -> Floats:
+    return _numbers(element, _text(element, path))
+
+
+def _numbers(element: Node, text: str) -> Floats:
+    return np.array([_number(element, word) for word in text.split()])
+
+
+def _number(element: Node, word: str) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        value = float("nan")
+        if word.strip() != "NaN":
+            raise NotRead(f"line {element.sourceline}: {word[:40]!r} is no number") from None
+    return value

@@ -25,7 +25,7 @@ from bench.certificate.content import (
 )
 from bench.certificate.dcc import nodes
 from bench.certificate.dcc.nodes import Node, ellipsoidal, node, plain, real, real_list, said, si_unit
-from bench.certificate.texts import Texts
+from bench.certificate.laboratory import Texts
 from bench.readings.table import Readings
 
 _LATEX: Final = (

@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
-from bench.certificate.signature.signatory import (
+from bench.certificate.signatory import (
     certificates_in,
     fingerprint_of,
     new_certificate_key,
     signatory_of,
     why_not_trusted,
 )
-from bench.certificate.signature.xades import check_pdf, check_xml, sign_pdf, sign_xml
+from bench.certificate.signatures import check_pdf, check_xml, sign_pdf, sign_xml
 from bench.run.events import RecordError
 from bench.services.errors import Refused
 from tests.support.signed import NOW, authority, blank_pdf, certified, in_file, no_passphrase

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding
 
+from bench.certificate import proof
 from bench.certificate.dcc.document import document_of
-from bench.certificate.paper import proof
-from bench.certificate.paper.page import body_of
-from bench.certificate.signature.xades import sign_pdf, sign_xml
-from bench.certificate.verify.verdict import verify_certificate
+from bench.certificate.page import body_of
+from bench.certificate.signatures import sign_pdf, sign_xml
+from bench.certificate.verify import verify_certificate
 from bench.services.errors import Refused
 from tests.support.certificates import RECORDED
 from tests.support.signed import NOW, a_signatory, authority

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
 
-from bench.certificate.signature.signatory import Signatory
+from bench.certificate.signatory import Signatory
 from bench.services.errors import Refused
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, Final
 
-from bench.certificate.signature.xades import NoCertificate, NotIntact
+from bench.certificate.signatures import NoCertificate, NotIntact
 
 _DCC: Final = "https://ptb.de/dcc"
 _NAMES: Final = {"dcc": _DCC, "si": "https://ptb.de/si"}

@@ -7,14 +7,14 @@ import re
 from datetime import date, datetime
 from hashlib import sha256
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from bench.base.files import MEGABYTE, read_regular
 from bench.base.numbers import rounded, uncertainty
+from bench.certificate import proof
 from bench.certificate.content import Attached, Certificate, day_of
 from bench.certificate.laboratory import Contact
-from bench.certificate.paper import proof
-from bench.certificate.paper.proof import NOBODY_SAYS, Block, Cell, Writer, plain
+from bench.certificate.proof import NOBODY_SAYS, Block, Cell, Writer, plain
 from bench.services.errors import Refused
 
 DCC: Final = "dcc.xml"
@@ -113,6 +113,7 @@ def _front(certificate: Certificate, write: Writer) -> list[Block]:
         ("calibrated", [_days(certificate)]),
         ("place", [certificate.place]),
         ("state", [write.say(certificate.state.replace(" ", "_"))] if certificate.state else []),
+        *write.stated(certificate, "front"),
     ]
     blocks = [write.pairs(rows)]
     if issue is not None and issue.before is not None:
@@ -186,9 +187,6 @@ def _logo(certificate: Certificate) -> dict[str, Any] | None:
         raise Refused(f"{file}: the logo is no picture that a page takes; give it as SVG, PNG or JPEG")
     return {"format": kinds[0], "bytes": list(content)}
 
-
-if TYPE_CHECKING:
-    pass
 
 _TEMPLATE: Final = "certificate.typ"
 _NO_SIGN: Final = re.compile(r'the text `"(.+?)"` could not be displayed')

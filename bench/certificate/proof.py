@@ -59,6 +59,17 @@ class Writer:
         told = [[self.say(key), [one for one in lines if one] or [NOBODY_SAYS]] for key, lines in rows]
         return {"kind": "pairs", "rows": told}
 
+    def stated(self, certificate: Certificate, page: str) -> list[tuple[str, list[Cell]]]:
+        """Return the rows of a page that laboratory and order files state; those that are always there first."""
+        fields = [one for one in certificate.stated if one.place.page == page]
+        rows: list[tuple[str, list[Cell]]] = []
+        for one in sorted(fields, key=lambda field: not field.place.otherwise):
+            if one.texts:
+                rows.append((one.key, [*one.texts]))
+            elif one.place.otherwise:
+                rows.append((one.key, [self.say(one.place.otherwise)]))
+        return rows
+
     def table(
         self,
         head: Sequence[Cell],
@@ -180,34 +191,27 @@ def pages(certificate: Certificate, write: Writer, attached: list[tuple[str, str
 
 
 def _method(certificate: Certificate, write: Writer) -> list[Block]:
-    found, unit, order = certificate.found, certificate.unit, certificate.order
+    found, order = certificate.found, certificate.order
     method = found.method
     procedure = method.procedure or write.say("procedure_unknown")
     told = {"procedure": procedure, "plan": method.plan_hash or NOBODY_SAYS, "estimator": method.estimator}
-    deviations: list[Cell] = [write.say("no_deviations")]
-    if unit is not None and unit.deviations:
-        deviations = [*unit.deviations]
-    rows: list[tuple[str, list[Cell]]] = [("formula", [_FORMULA]), ("deviations", deviations)]
-    if unit is not None and unit.adjusted is not None:
-        rows.append(("adjusted", [unit.adjusted.what]))
-    if order is not None and order.agreed:
-        rows.append(("agreed", [*order.agreed]))
+    rows: list[tuple[str, list[Cell]]] = [("formula", [_FORMULA]), *write.stated(certificate, "method")]
     rows += [
         (key, [write.say(text, **blanks) for text, blanks in told])
         for key, told in certificate.origins.items()
     ]
+    conditions = [_condition(one, write) for one in found.conditions]
+    stated = (one for one in certificate.stated if one.place.page == "conditions" and one.texts)
+    conditions += [[write.say(one.key), "; ".join(one.texts), NOBODY_SAYS] for one in stated]
+    head: list[Cell] = [write.say("quantity"), write.say("value"), write.say("source")]
     return [
         write.heading("method"),
         write.words("method_text", model=method.model, **told),
         write.pairs(rows),
         *([] if order is None else [write.words("statement_supplied")]),
         write.heading("conditions"),
-        write.table(
-            [write.say("quantity"), write.say("value"), write.say("source")],
-            [_condition(one, write) for one in found.conditions] + _environment(certificate, write),
-            "lll", [1, 1.3, 1.2],
-        ),
-    ]  # fmt: skip
+        write.table(head, conditions, "lll", [1, 1.3, 1.2]),
+    ]
 
 
 def _condition(one: Condition, write: Writer) -> list[Cell]:
@@ -216,11 +220,6 @@ def _condition(one: Condition, write: Writer) -> list[Cell]:
         span(one.low, one.high, one.u, one.unit),
         typeset(one.source) or NOBODY_SAYS,
     ]
-
-
-def _environment(certificate: Certificate, write: Writer) -> list[list[Cell]]:
-    stated = None if certificate.laboratory is None else certificate.laboratory.environment
-    return [[write.say("environment"), stated, NOBODY_SAYS]] if stated else []
 
 
 def _equipment(certificate: Certificate, write: Writer) -> list[Block]:

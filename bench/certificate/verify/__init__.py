@@ -1,1 +1,0 @@
-"""Whether a certificate is intact, who signed it, and what that does not prove."""
