@@ -10,6 +10,7 @@ sys.path.insert(0, str(HERE.parent))  # the generators stand beside the pages an
 from docs.generators import write_pages  # noqa: E402
 from docs.generators.example_certificate import write_example  # noqa: E402
 from docs.generators.panel_pictures import write_pictures  # noqa: E402
+from docs.generators.results import write_schemas  # noqa: E402
 
 project = "Calibration bench"
 author = "the authors of triaxial-bench"
@@ -31,6 +32,7 @@ html_show_copyright = False
 html_copy_source = False
 html_show_sourcelink = False
 html_static_path = ["static"]
+html_extra_path = ["reference/served"]
 html_css_files = ["site.css"]
 html_theme_options = {"sidebar_hide_name": False, "navigation_with_keys": True}
 pygments_style = "default"
@@ -39,3 +41,4 @@ pygments_dark_style = "monokai"
 write_pictures(HERE / "reference")
 write_pages(HERE / "reference")
 write_example(HERE / "reference")
+write_schemas(HERE / "reference" / "served" / "schemas")

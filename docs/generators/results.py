@@ -1,4 +1,4 @@
-"""The page on results: the JSON schemas under docs/schemas, as tables."""
+"""The page on results: the JSON schemas of the models in `bench/results`, as tables and as files."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from bench.base.files import to_text
 from bench.results.schemas import RESULTS, model_of
 from docs.generators.markdown import code, table
 
@@ -16,8 +17,8 @@ _FIRST: Final = ("calibrate", "verify", "diagnose", "budget")
 _INTRODUCTION: Final = """\
 # Results and the record
 
-What `--json FILE` writes, by command, and the lines of a run's record. Each stands as a JSON schema (draft
-2020-12) under `docs/schemas`; the tests hold real results against them, and a member that no schema names
+What `--json FILE` writes, by command, and the lines of a run's record. Each has a JSON schema (draft 2020-12), made
+of the model in `bench/results`; the tests hold real results against them, and a member that no schema names
 is an error there. Angles are in degrees where the name says `_deg`, times in seconds, uncertainties are
 standard uncertainties unless the name is `U`.
 """
@@ -36,12 +37,19 @@ def kept_schema(name: str) -> dict[str, Any]:
     return schema
 
 
+def write_schemas(folder: Path) -> None:
+    """Write each schema as a file, for the site to serve."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, schema in schemas().items():
+        (folder / f"{name}.json").write_text(to_text(schema), encoding="utf-8")
+
+
 def page() -> str:
     """Return the page."""
     parts = [_INTRODUCTION]
     for name, schema in schemas().items():
         rows = list(_rows(schema, schema.get("$defs", {}), ""))
-        lead = f"{schema['description']} Schema: `docs/schemas/{name}.json`."
+        lead = f"{schema['description']} <a href='../schemas/{name}.json'>JSON schema</a>."
         parts.append(f"## {schema['title']}\n\n{lead}\n\n{table(('member', 'type', 'what it is'), rows)}")
     return "\n\n".join(parts)
 
