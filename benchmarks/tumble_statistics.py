@@ -18,7 +18,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.calibration.tumble.view import TumbleView, tumble_view
+from bench.calibration.tumble import TumbleView, tumble_view
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from tests.support.paper_bench import STAND_U

@@ -14,10 +14,9 @@ import numpy as np
 
 from bench.base.arrays import Floats, Ints, unit_vectors
 from bench.calibration import gls, mistakes
-from bench.calibration.assumptions import require_rank
 from bench.calibration.design import FIXED, Problem, make_problem
-from bench.calibration.known import KnownNoise, KnownStand
-from bench.calibration.noise import LEAST_REPEATS, repeat_groups, setting_limits
+from bench.calibration.noise import LEAST_REPEATS, KnownNoise, KnownStand, repeat_groups, setting_limits
+from bench.calibration.observability import require_rank
 from bench.calibration.result import CalibrationError, Noise
 from bench.model.conditions import Conditions
 from bench.model.forward import ForwardModel

@@ -11,15 +11,14 @@ import numpy as np
 
 from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
 from bench.calibration import gls, mistakes, outliers
-from bench.calibration.assumptions import GAIN, GRAVITY, assumptions, require_rank
 from bench.calibration.components import Shared, heavy_tails, notes_on_noise, take_in
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
-from bench.calibration.estimator import Estimator, Task
 from bench.calibration.estimators import ESTIMATORS, GLS, ROBUST, find_estimator
 from bench.calibration.free import first_guess_free, triangular
-from bench.calibration.known import KnownStand
+from bench.calibration.gls import Estimator, Task
 from bench.calibration.linear import linear_estimate
-from bench.calibration.noise import require_told
+from bench.calibration.noise import KnownStand, require_told
+from bench.calibration.observability import GAIN, GRAVITY, assumptions, require_rank
 from bench.calibration.outliers import Chosen
 from bench.calibration.result import (
     Calibration,

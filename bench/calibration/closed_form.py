@@ -7,13 +7,12 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats, Ints
-from bench.calibration.estimator import Estimator
+from bench.calibration.gls import Estimator
+from bench.calibration.mistakes import NOMINAL_RAD, POINTS
 from bench.calibration.result import CalibrationError
 from bench.model.geometry import within_half_turn
 from bench.readings.table import Readings
 
-POINTS = 9
-NOMINAL_RAD = np.radians(45.0) * np.arange(POINTS)
 FARTHEST_FROM_NOMINAL_RAD = np.radians(3 / 60)
 
 

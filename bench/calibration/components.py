@@ -14,7 +14,7 @@ from bench.base.numbers import scale_for
 from bench.calibration.design import Problem
 from bench.calibration.gls import Fit, finish
 from bench.calibration.noise import LEAST_REPEATS, repeat_groups, scatter_of_repeats
-from bench.calibration.result import Noise, NoisePrior, widening
+from bench.calibration.result import Component, Drift, Noise, NoisePrior, widening
 from bench.model.conditions import Conditions
 from bench.stats.reml import Mixed, Projection, asked_for, maximise
 from bench.stats.repeats_likelihood import DIGITS
@@ -33,35 +33,6 @@ NOISE: Final = "noise"
 SETTING: Final = "setting error"
 ANGLE: Final = "angle of a setting"
 DRIFT: Final = "drift"
-
-
-@dataclass(frozen=True)
-class Component:
-    """A variance that readings share; `size` is its standard deviation in the unit of the signal, rad of an angle.
-
-    `what` says what shares it, `channels` in which; `dof` are its degrees of freedom, and `p` is the probability
-    that chance alone asks for any component as much.
-    """
-
-    what: str
-    channels: str
-    size: float
-    unit: str
-    dof: float
-    p: float
-
-
-@dataclass(frozen=True)
-class Drift:
-    """How far the biases wander about their mean over the run: `size` (3,) rms in the unit, over `hours`.
-
-    `course` (n, 3) is the estimate at each reading, `per_hour` (3,) the slope of its best line.
-    """
-
-    size: Floats
-    course: Floats
-    per_hour: Floats
-    hours: float
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Ints
-from bench.calibration.known import KnownNoise, KnownStand
+from bench.calibration.noise import KnownNoise, KnownStand
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Parameter, Stage
 from bench.model.forward import ForwardModel

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Final
 
-from bench.calibration.estimator import Estimator
+from bench.calibration.gls import Estimator
 from bench.calibration.result import CalibrationError
 
 GLS: Final = "gls"

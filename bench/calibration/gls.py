@@ -8,6 +8,7 @@ covariance is that of generalised least squares).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -16,7 +17,6 @@ from scipy import linalg, special
 
 from bench.base.arrays import Floats, Ints, rms
 from bench.calibration.design import FIXED, FreeRows, Problem
-from bench.calibration.estimator import Estimator
 from bench.calibration.free import NO_MODULI, Modulus, modulus_rows
 from bench.calibration.noise import (
     LEAST_REPEATS,
@@ -31,6 +31,7 @@ from bench.calibration.noise import (
 )
 from bench.calibration.result import CalibrationError, LackOfFit, Noise, widening
 from bench.model.geometry import COEFFICIENTS, Block
+from bench.readings.table import Readings
 
 MOST_ITERATIONS: Final = 20
 STANDS_STILL: Final = 5e-3
@@ -412,6 +413,50 @@ def misfit_test(
     chi2 = max(misfit - pure_error, 0.0)
     # the scatter over its own freedom is 1 by construction: the noise was estimated from it
     return LackOfFit(size, chi2, dof, float(special.fdtrc(dof, noise.dof, chi2 / dof)))
+
+
+@dataclass(frozen=True)
+class Task:
+    """Readings to weigh: their `signal` (n, 3) in V, `fit` by generalised least squares, and how to fit anew.
+
+    `refit` takes the shifts of readings that are to have no weight.
+    """
+
+    problem: Problem
+    signal: Floats
+    fit: Fit
+    refit: Callable[[tuple[Shift, ...]], Fit]
+
+
+def _as_it_is(task: Task) -> Fit:
+    return task.fit
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """One way from readings to coefficients; `phrase` says it in a few words, `also` are further names.
+
+    `gain` gives the map (12, n, 3) of one that weighs the readings in a fixed manner; it takes oriented
+    readings alone. Without it `weigh` gives the fit. Its map in a budget is then the one at which it comes to
+    rest from readings without errors, in which nothing is an outlier: a budget is linear, and so shows what the
+    estimator does to usual errors, not what it gains or loses where a reading is an outlier. Where that map is
+    another estimator's, `counts_as` names it. `angles_rad` gives the angles (n,) that it takes for granted and
+    raises `CalibrationError` for other readings; left out, they are those of the readings.
+    """
+
+    name: str
+    phrase: str
+    weigh: Callable[[Task], Fit] = _as_it_is
+    gain: Callable[[Problem, Readings], Floats] | None = None
+    angles_rad: Callable[[Readings], Floats] | None = None
+    drops_outliers: bool = False
+    also: tuple[str, ...] = ()
+    counts_as: str = ""
+
+    @property
+    def weighs_all(self) -> bool:
+        """Whether it can take readings whose modulus alone is known."""
+        return self.gain is None
 
 
 ESTIMATOR: Final = Estimator("gls", "all readings, weighed")

@@ -10,7 +10,7 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.calibration import gls
 from bench.calibration.design import FIXED, Problem, coefficient_columns
-from bench.calibration.estimator import Estimator
+from bench.calibration.gls import Estimator
 from bench.model.geometry import Block
 
 

@@ -19,8 +19,7 @@ from scipy import special
 
 from bench.base.arrays import ARCSEC, Floats, Ints, unit_vectors
 from bench.calibration.design import Problem
-from bench.calibration.estimator import Estimator, Task
-from bench.calibration.gls import MODULUS, SETTING, Fit, Shift, whitened_rows
+from bench.calibration.gls import MODULUS, SETTING, Estimator, Fit, Shift, Task, whitened_rows
 from bench.calibration.noise import whiten
 from bench.calibration.result import Outlier
 from bench.readings.table import Readings

@@ -18,7 +18,7 @@ from bench.base.text import visible
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.conformity import DecisionRule
-from bench.calibration.derived import INVERSE, MISALIGNMENTS
+from bench.calibration.result import INVERSE, MISALIGNMENTS
 from bench.certificate.content import (
     Certificate,
     Condition,

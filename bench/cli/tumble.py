@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.calibration.tumble.view import TumbleView
+    from bench.calibration.tumble import TumbleView
 
 CLOSE = 0.95
 """A correlation beyond which two terms are told to hang together."""

@@ -12,7 +12,7 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.base.files import to_text
 from bench.base.text import comment, double, visible
-from bench.calibration.derived import INVERSE, Derived
+from bench.calibration.result import INVERSE, Derived
 from bench.exchange.result import CONVENTION, BlockResult, Row
 from bench.model.geometry import COEFFICIENTS
 

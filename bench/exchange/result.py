@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.base.arrays import Floats, u_of
 from bench.base.text import one_line
-from bench.calibration.derived import Derived, inverse, misalignments
+from bench.calibration.result import Derived, inverse, misalignments
 from bench.model.geometry import COEFFICIENTS, Block
 
 SIMULATED = "SIMULATED: found on simulated instruments, of no real block"

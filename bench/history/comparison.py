@@ -13,7 +13,7 @@ from scipy import special
 
 from bench.base.arrays import Floats, Ints, Mask, u_of
 from bench.calibration.conformity import COVERAGE_FACTOR
-from bench.calibration.known import METERS_DRIFT, drifted
+from bench.calibration.noise import METERS_DRIFT, drifted
 from bench.calibration.result import CalibrationError
 from bench.model.geometry import COEFFICIENTS
 from bench.stats import holm

@@ -11,7 +11,7 @@ from scipy import linalg, sparse, special
 from scipy.sparse import csgraph
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints
-from bench.calibration.known import KnownStand
+from bench.calibration.noise import KnownStand
 
 NONE: Final = 1e-6
 """A variance that is no larger part of what was stated is none."""

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats, Mask
-from bench.calibration.known import KnownStand
+from bench.calibration.noise import KnownStand
 from bench.calibration.result import CalibrationError
 from bench.history.learned import Contradiction, Learned, Variance
 from bench.history.run_sums import (

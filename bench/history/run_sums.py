@@ -14,8 +14,7 @@ from bench.base.arrays import HOUR, Floats, Ints, rms
 from bench.calibration import gls
 from bench.calibration.calibrate import first_guess, usable_rows
 from bench.calibration.design import FIXED, Problem, make_problem
-from bench.calibration.known import KnownNoise
-from bench.calibration.noise import Scatter, repeat_groups, scatter_of_repeats, whiten
+from bench.calibration.noise import KnownNoise, Scatter, repeat_groups, scatter_of_repeats, whiten
 from bench.calibration.result import CalibrationError, Noise
 from bench.model.conditions import Conditions
 from bench.model.forward import ForwardModel

@@ -16,8 +16,7 @@ from bench.calibration.budget.error_source import ErrorSource, learned_sources
 from bench.calibration.budget.sources import effect_sources, stand_source
 from bench.calibration.design import FIXED, Problem, make_problem
 from bench.calibration.estimators import GLS
-from bench.calibration.known import KnownStand
-from bench.calibration.noise import LEAST_REPEATS, repeat_groups, whiten
+from bench.calibration.noise import LEAST_REPEATS, KnownStand, repeat_groups, whiten
 from bench.calibration.result import CalibrationError, Noise
 from bench.calibration.verification import modulus_slopes
 from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardModel

@@ -18,10 +18,9 @@ from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate as estimate
 from bench.calibration.conformity import DecisionRule
 from bench.calibration.estimators import CLOSED_FORM, GLS
-from bench.calibration.mistakes import implausible
+from bench.calibration.mistakes import implausible, refuse_mixed_units, sheet_of
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, CalibrationError
-from bench.calibration.signal_units import refuse_mixed_units, sheet_of
-from bench.calibration.temperature.plateaus import separate_temperatures
+from bench.calibration.temperature.model import separate_temperatures
 from bench.config.bench_file.learned import PriorFile, load_prior
 from bench.exchange.result import BlockResult
 from bench.history.equivalence import STANDARD_GRAVITY

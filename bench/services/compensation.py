@@ -17,8 +17,7 @@ from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import SourceOfError
 from bench.calibration.temperature.model import TemperatureModel
-from bench.calibration.tumble.terms import DEFAULT
-from bench.calibration.tumble.view import TumbleView, combine, tumble_view
+from bench.calibration.tumble import DEFAULT, TumbleView, combine, tumble_view
 from bench.exchange.result import BlockResult
 from bench.model.geometry import COEFFICIENTS
 from bench.run.events import MANIFEST

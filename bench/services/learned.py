@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.calibration.budget.meters import KnownMeters, LearnedMeters, Told, known_meters, may_move
-from bench.calibration.known import METERS_DRIFT, KnownNoise, KnownStand
+from bench.calibration.noise import METERS_DRIFT, KnownNoise, KnownStand
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile, FileMistakes, load_recorded_bench
 from bench.config.bench_file.learned import LearnedFile, MetersEntry

@@ -15,7 +15,7 @@ from bench.base.arrays import Floats
 from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE
 from bench.calibration.budget.coefficients import meters_of
 from bench.calibration.budget.sources import assumed_stand, signed_sources
-from bench.calibration.known import KnownStand
+from bench.calibration.noise import KnownStand
 from bench.config.bench_file.file import BenchFile
 from bench.config.procedure.check import check as check_against
 from bench.config.procedure.load import load_procedure

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
 
 from bench.base.text import repeated
 from bench.calibration.budget.meters import KnownMeters
-from bench.calibration.known import KnownStand
+from bench.calibration.noise import KnownStand
 from bench.config.bench_file.file import BenchFile
 from bench.config.model_file import ModelFile, load_model
 from bench.model import CATALOGUE, Effect, ForwardModel

@@ -17,7 +17,7 @@ from bench.calibration import verify as check
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere
 from bench.calibration.conformity import SIMPLE, DecisionRule, Population
-from bench.calibration.known import drifted
+from bench.calibration.noise import drifted
 from bench.config.bench_file.file import BenchFile
 from bench.results.verification import (
     VerifyResult,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bench.calibration.derived import (
+from bench.calibration.result import (
     INVERSE,
     MISALIGNMENTS,
     inverse,

@@ -8,8 +8,8 @@ import pytest
 
 from bench.calibration import ESTIMATORS, calibrate
 from bench.calibration.budget.coefficients import make_budget
-from bench.calibration.estimator import Estimator
 from bench.calibration.estimators import GLS, find_estimator
+from bench.calibration.gls import Estimator
 from bench.readings.csv import write_csv
 from tests.support.budget_bench import paper_setup, stand
 from tests.support.honest_runs import MODEL

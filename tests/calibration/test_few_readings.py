@@ -6,7 +6,7 @@ import pytest
 from bench.calibration import CalibrationError, calibrate, gls
 from bench.calibration.calibrate import first_guess
 from bench.calibration.design import make_problem
-from bench.calibration.known import KnownNoise, KnownStand
+from bench.calibration.noise import KnownNoise, KnownStand
 from tests.support.honest_runs import FEW, MODEL, STATED, run_few, simulate_few
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, simulate
 from tests.support.results import calibration_json

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bench.calibration import CalibrationError
-from bench.calibration.signal_units import refuse_mixed_units, sheet_of, wrong_unit
+from bench.calibration.mistakes import refuse_mixed_units, sheet_of, wrong_unit
 from bench.diagnosis.mistakes.search import find_mistakes
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from openpyxl import load_workbook
 
-from bench.calibration.derived import specific_force_covariance
+from bench.calibration.result import specific_force_covariance
 from bench.exchange.autopilots import diagonal, lower_triangular, sensor_of
 from bench.exchange.forms import FORMS
 from bench.exchange.result import SIMULATED, BlockResult

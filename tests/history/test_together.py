@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.calibration.known import METERS_DRIFT
+from bench.calibration.noise import METERS_DRIFT
 from bench.history.comparison import Snapshot, joint_covariances, joint_of
 from bench.history.equivalence import Participants, equivalence, pairs, together
 

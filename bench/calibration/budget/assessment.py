@@ -35,7 +35,7 @@ from bench.calibration.budget.propagation import (
 from bench.calibration.budget.sources import ROLL_ORIGIN
 from bench.calibration.conformity import SIMPLE, DecisionRule, Known, Population
 from bench.calibration.design import coefficient_columns
-from bench.calibration.known import KnownStand
+from bench.calibration.noise import KnownStand
 from bench.calibration.result import CalibrationError
 from bench.calibration.verification import modulus_slopes
 from bench.model.conditions import Conditions

@@ -12,7 +12,6 @@ import numpy as np
 
 from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration import gls
-from bench.calibration.assumptions import require_rank
 from bench.calibration.budget.error_source import NAME as FOUNDATION
 from bench.calibration.budget.error_source import ErrorSource, tilt_patterns
 from bench.calibration.budget.propagation import (
@@ -21,9 +20,10 @@ from bench.calibration.budget.propagation import (
     effective_dof,
 )
 from bench.calibration.design import FIXED, STEP_RAD, Problem, make_problem
-from bench.calibration.estimator import Task
 from bench.calibration.estimators import GLS, in_a_budget
-from bench.calibration.known import KnownStand
+from bench.calibration.gls import Task
+from bench.calibration.noise import KnownStand
+from bench.calibration.observability import require_rank
 from bench.calibration.result import CalibrationError, Noise
 from bench.config.bench_file.file import STAND_ERRORS, BenchFile
 from bench.config.procedure.plan import Plan, Read, SetTemperature

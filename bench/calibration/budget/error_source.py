@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, rms
 from bench.calibration.design import EffectUnknown
-from bench.calibration.known import KnownNoise, KnownStand
+from bench.calibration.noise import KnownNoise, KnownStand
 from bench.config.bench_file.file import BenchFile
 from bench.model.conditions import Conditions, Mounting
 from bench.model.geometry import STAND_ANGLES, Block, Distribution, Installation

@@ -13,7 +13,7 @@ from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.calibration.budget.propagation import effective_dof
-from bench.calibration.known import METERS_DRIFT
+from bench.calibration.noise import METERS_DRIFT
 from bench.config.bench_file.file import BenchFile
 from bench.config.devices.device import Certificate, CertifiedGain, CertifiedOffset
 from bench.config.devices.registry import UnknownVoltmeter

@@ -16,7 +16,7 @@ from bench.calibration.budget.coefficients import Setup
 from bench.calibration.budget.error_source import Common, ErrorSource, foundation_of, learned_sources
 from bench.calibration.budget.meters import KnownMeters, Size, linearity_of, size_of, thermometer_size
 from bench.calibration.design import SYMBOLS, WEAK
-from bench.calibration.known import KnownStand
+from bench.calibration.noise import KnownStand
 from bench.config.bench_file.file import STAND_ERRORS, BenchFile
 from bench.config.bench_file.stand import ErrorSize, Location, MeasuredGravity
 from bench.config.devices.sections import VoltmeterForm

@@ -12,8 +12,7 @@ import numpy as np
 
 from bench.base.arrays import Floats, Singles
 from bench.base.text import comment, one_line, single
-from bench.calibration.derived import INVERSE
-from bench.calibration.result import CalibrationError
+from bench.calibration.result import INVERSE, CalibrationError
 from bench.calibration.temperature.model import TemperatureModel
 
 MOST_STEPS: Final = 1024

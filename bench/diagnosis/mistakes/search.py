@@ -17,7 +17,7 @@ from bench.base.arrays import Floats
 from bench.calibration.calibrate import usable_rows
 from bench.calibration.design import Problem, make_problem
 from bench.calibration.gls import noise_floor
-from bench.calibration.signal_units import PREFIX, PREFIXES, WrongUnit, sheet_of, wrong_unit
+from bench.calibration.mistakes import PREFIX, PREFIXES, WrongUnit, sheet_of, wrong_unit
 from bench.diagnosis.mistakes.describing import (
     Description,
     Situation,

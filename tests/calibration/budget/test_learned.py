@@ -11,7 +11,7 @@ from bench.calibration.budget.coefficients import make_budget, make_setup
 from bench.calibration.budget.error_source import MEANS as SHARED
 from bench.calibration.budget.sources import assumed_stand, bench_sources
 from bench.calibration.design import make_problem
-from bench.calibration.known import KnownNoise, KnownStand
+from bench.calibration.noise import KnownNoise, KnownStand
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_procedure

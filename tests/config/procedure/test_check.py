@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.calibration import CalibrationError
-from bench.calibration.assumptions import require_rank
+from bench.calibration.observability import require_rank
 from bench.cli.app import main
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.check import disk_needed_bytes, operator_actions, undetermined

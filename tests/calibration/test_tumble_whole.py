@@ -8,8 +8,8 @@ import pytest
 from bench.calibration import calibrate
 from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import sign
-from bench.calibration.derived import misalignments
-from bench.calibration.tumble.view import combine, tumble_view
+from bench.calibration.result import misalignments
+from bench.calibration.tumble import combine, tumble_view
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.model import ForwardModel

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.calibration import CalibrationError, Noise, calibrate
-from bench.calibration.tumble.view import tumble_view
+from bench.calibration.tumble import tumble_view
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, K

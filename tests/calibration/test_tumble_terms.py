@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.calibration.tumble.terms import DEFAULT, HOMES, LINEAR, columns, separable
+from bench.calibration.tumble import DEFAULT, HOMES, LINEAR, columns, separable
 from bench.model.conditions import Conditions
 from tests.support.paper_bench import ARCSEC, specific_force
 from tests.support.tumble_bench import design
