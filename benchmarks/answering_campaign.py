@@ -13,7 +13,6 @@ answer used but the recorded one, none lost; a question whose answer a kill came
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
 import re
@@ -30,6 +29,7 @@ from bench.run.events import Event
 from bench.run.folder import Run
 from bench.run.person import ANSWERS, LeftAnswer, OpenPrompt, Who, leave_answer, understood_answer
 from bench.run.record import parse_line, read_history
+from benchmarks.campaign import arguments
 from benchmarks.kill_campaign import PROGRAM, differences
 from drivers.angles import format_dms, parse_angle
 from drivers.person import Prompt, PromptKind
@@ -231,13 +231,7 @@ def _astray(events: list[Event]) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--runs", type=int, default=40)
-    parser.add_argument("--kills", type=int, default=4, help="at most, of each run")
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
+    options = arguments(__doc__, runs=40, kills=(4, "at most, of each run"), seed=1)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         expected, _ = one(0, folder, seed=options.seed, kills=0, calm=True)

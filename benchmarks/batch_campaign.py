@@ -34,8 +34,6 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
-# as a batch has it: with more, a calibration's last digits are others
-os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import numpy as np
 from pyarrow import parquet
 
@@ -43,6 +41,7 @@ from bench.batch.job import CALIBRATE, Job
 from bench.batch.store import list_runs
 from bench.batch.work import worked
 from bench.model.geometry import COEFFICIENTS
+from benchmarks.campaign import arguments
 
 _SAMPLE: Final = 20
 _TICKS: Final = os.sysconf("SC_CLK_TCK")
@@ -264,18 +263,11 @@ def checked(out: Path, runs: list[str], chance: random.Random) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("what", choices=["busy", "kills"])
-    parser.add_argument("over", help="runs: a pattern, or a folder of runs")
-    parser.add_argument("--count", type=int, default=10_000)
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--every", type=float, default=20.0, help="longest time between two kills, s")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--workers", type=int)
-    parser.add_argument("--estimator", default="gls")
-    options = parser.parse_args()
+    options = arguments(
+        __doc__, what={"positional": True, "choices": ["busy", "kills"]},
+        over={"positional": True, "help": "runs: a pattern, or a folder of runs"}, count=10000, kills=50,
+        every=(20.0, "longest time between two kills, s"), seed=1, workers=int, estimator="gls",
+    )  # fmt: skip
     with tempfile.TemporaryDirectory() as name:
         sys.exit({"busy": busy, "kills": kills}[options.what](options, Path(name)))
 

@@ -11,6 +11,7 @@ import contextlib
 import io
 import json
 import multiprocessing
+import os
 import resource
 import sys
 import time
@@ -22,8 +23,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from statistics import median
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, NoReturn, TypeVar
 
+# the matrices are small: threads would only get in each other's way, and change the last digits
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from scipy.stats import binomtest
 
@@ -70,6 +74,12 @@ def _option(default: Any) -> dict[str, Any]:
     if isinstance(default, type):
         return {"type": default}
     return {"type": type(default), "default": default}
+
+
+def refuse(why: str) -> NoReturn:
+    """End the program because of how it was called."""
+    print(why, file=sys.stderr)
+    raise SystemExit(2)
 
 
 def finish(broken: Sequence[str], holds: str = "every promise holds") -> int:

@@ -10,7 +10,6 @@ Wilson's interval of 95 %, the mean of the scatter found, and what it is where d
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -20,15 +19,12 @@ from bench.base.arrays import Mask
 from bench.history.capability import YEAR, Apart, capability
 from bench.history.equivalence import Measured
 from bench.stats.crossed_effects import EXCESS, Crossing, fit
+from benchmarks.campaign import arguments
 
 CASES = (
-    (30, 5, 3, (1.0, 0.0, 0.0, 0.5)),
-    (30, 5, 3, (0.0, 0.0, 0.0, 0.5)),
-    (30, 5, 3, (1.0, 2.0, 0.0, 0.5)),
-    (30, 5, 3, (1.0, 0.0, 2.0, 0.5)),
-    (30, 5, 3, (0.0, 2.0, 1.0, 0.5)),
-    (12, 4, 2, (1.0, 0.5, 0.0, 0.5)),
-)
+    (30, 5, 3, (1.0, 0.0, 0.0, 0.5)), (30, 5, 3, (0.0, 0.0, 0.0, 0.5)), (30, 5, 3, (1.0, 2.0, 0.0, 0.5)),
+    (30, 5, 3, (1.0, 0.0, 2.0, 0.5)), (30, 5, 3, (0.0, 2.0, 1.0, 0.5)), (12, 4, 2, (1.0, 0.5, 0.0, 0.5)),
+)  # fmt: skip
 """Units, runs of each, benches, and sizes of scatter, rates in a year, walks in a year, benches."""
 
 
@@ -92,10 +88,7 @@ def held(inside: Mask) -> str:
 
 def main() -> None:
     """Print the table."""
-    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    asked.add_argument("--runs", type=int, default=20)
-    asked.add_argument("--seed", type=int, default=1)
-    given = asked.parse_args()
+    given = arguments(__doc__, runs=20, seed=1)
     for line in table(given.runs, given.seed):
         print(line, flush=True)
 

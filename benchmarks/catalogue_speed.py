@@ -10,7 +10,6 @@ computer. A question is timed from opening the catalogue to its rows; the median
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import os
 import resource
@@ -22,20 +21,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+from benchmarks.campaign import arguments
+
 QUESTIONS: Final[tuple[tuple[str, list[str], str], ...]] = (
-    ("ask", ["meter=MY540012", "after=2017-05-03"], "units"),
-    ("ask", ["certificate=2017-40012"], "runs"),
+    ("ask", ["meter=MY540012", "after=2017-05-03"], "units"), ("ask", ["certificate=2017-40012"], "runs"),
     ("ask", ["verdict=fail", "bench=bench-07"], "runs"),
-    ("ask", ["verdict!=pass", "operator=A.*"], "runs"),
-    ("ask", ["unit=*00000"], "coefficients"),
-    ("ask", ["after=2017-09-01"], "runs"),
-    ("ask", [], "units"),
-    ("ask", [], "benches"),
-    ("ask", ["bench=bench-07"], "instruments"),
-    ("folders", ["bench=bench-07"], ""),
-    ("table", ["bench=bench-07"], ""),
-    ("unit", ["triaxial block A 00000"], ""),
-)
+    ("ask", ["verdict!=pass", "operator=A.*"], "runs"), ("ask", ["unit=*00000"], "coefficients"),
+    ("ask", ["after=2017-09-01"], "runs"), ("ask", [], "units"), ("ask", [], "benches"),
+    ("ask", ["bench=bench-07"], "instruments"), ("folders", ["bench=bench-07"], ""),
+    ("table", ["bench=bench-07"], ""), ("unit", ["triaxial block A 00000"], ""),
+)  # fmt: skip
 """What is asked: of answers, of folders for a batch, of coefficients as arrays, of a unit with its date due."""
 
 
@@ -106,13 +101,7 @@ def apart(work: Callable[..., Any], *given: Any) -> dict[str, Any]:
 
 def main() -> int:
     """Print a table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--catalogue", default="")
-    parser.add_argument("--hold-back", type=int, default=100)
-    given = parser.parse_args()
+    given = arguments(__doc__, folder={"positional": True, "type": Path}, catalogue="", hold_back=100)
     runs = sorted(path for path in given.folder.iterdir() if path.is_dir())
     aside = given.folder.parent / f"{given.folder.name}-aside"
     with tempfile.TemporaryDirectory() as place:

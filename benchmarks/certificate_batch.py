@@ -11,7 +11,6 @@ than a tenth. Exit status 1 when a promise is broken.
 
 from __future__ import annotations
 
-import argparse
 import resource
 import sys
 import tempfile
@@ -21,6 +20,7 @@ from pathlib import Path
 
 from bench.certificate.life import issue_all
 from bench.certificate.signatory import signatory_of
+from benchmarks.campaign import arguments
 from benchmarks.certificate_desk import prepare
 from drivers.clock import utc_now
 
@@ -35,13 +35,8 @@ def resident_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--certificates", type=int, default=1000)
-    parser.add_argument("--key", metavar="FILE", help="sign with this key")
-    asked = parser.parse_args(arguments)
+def main(argv: list[str] | None = None) -> int:
+    asked = arguments(__doc__, argv, certificates=1000, key={"metavar": "FILE", "help": "sign with this key"})
     with tempfile.TemporaryDirectory() as folder:
         desk, names = prepare(Path(folder), asked.certificates)
         if asked.key:

@@ -15,7 +15,6 @@ change that was accepted and shows anything else.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import re
@@ -43,6 +42,7 @@ from bench.certificate.signatory import new_certificate_key, signatory_of
 from bench.certificate.signatures import NotIntact, check_xml, sign_pdf, sign_xml
 from bench.certificate.verify import verify_certificate
 from bench.config.shipped import CERTIFICATE, shipped_folder
+from benchmarks.campaign import arguments
 
 REFUSED, UNCHANGED, CHANGED = "refused", "unchanged", "CHANGED"
 _DIGITS: Final = b"0123456789"
@@ -178,12 +178,9 @@ def _in_signature(document: bytes, rng: Random) -> bytes:
 XML: Final[dict[str, Change]] = {
     "a byte of a value": _byte_in(b"si:value(?:XMLList)?"),
     "a byte of a U": _byte_in(b"si:valueExpandedMUXMLList"),
-    "a byte of a unit": _byte_in(b"si:unit(?:XMLList)?"),
-    "a byte of a covariance": _byte_of_covariance,
-    "a byte of a file in it": _byte_in(b"dcc:dataBase64"),
-    "a byte of a text": _byte_in(b"dcc:content"),
-    "a blank in a value": _blank_in(b"si:valueXMLList"),
-    "a blank in a unit": _blank_in(b"si:unitXMLList"),
+    "a byte of a unit": _byte_in(b"si:unit(?:XMLList)?"), "a byte of a covariance": _byte_of_covariance,
+    "a byte of a file in it": _byte_in(b"dcc:dataBase64"), "a byte of a text": _byte_in(b"dcc:content"),
+    "a blank in a value": _blank_in(b"si:valueXMLList"), "a blank in a unit": _blank_in(b"si:unitXMLList"),
     "a blank in a file in it": _blank_in(b"dcc:dataBase64"),
     "a comment in a value": _comment_in(b"si:valueXMLList"),
     "a comment in a text": _comment_in(b"dcc:content"),
@@ -191,11 +188,9 @@ XML: Final[dict[str, Change]] = {
     "labels in another order": _words_swapped(b"si:labelXMLList"),
     "elements in another order": _swapped(b"dcc:result"),
     "columns in another order": _swapped(b"si:columnXMLList"),
-    "a blank between attributes": _between_attributes,
-    "a byte of the signature": _in_signature,
-    "any bit": _any_byte,
-    "a byte left out": _byte_out,
-}
+    "a blank between attributes": _between_attributes, "a byte of the signature": _in_signature,
+    "any bit": _any_byte, "a byte left out": _byte_out,
+}  # fmt: skip
 
 
 # --- changes of the PDF -------------------------------------------------------------------------------
@@ -259,17 +254,13 @@ def _in_place_of_the_signature(file: bytes, rng: Random) -> bytes:
 
 
 PDF: Final[dict[str, Change]] = {
-    "any bit of the PDF": _any_byte,
-    "a bit of a stream": _stream_bit,
-    "a byte of the PDF left out": _byte_out,
-    "something appended": _appended,
+    "any bit of the PDF": _any_byte, "a bit of a stream": _stream_bit,
+    "a byte of the PDF left out": _byte_out, "something appended": _appended,
     "a digit of the PDF's signature": _in_place_of_the_signature,
     "another byte in an attachment": _saved(_other_attachment),
-    "attachments exchanged": _saved(_exchanged),
-    "a page less": _saved(_page_less),
-    "pages in another order": _saved(_pages_turned),
-    "the file written anew": _saved(_as_it_is),
-}
+    "attachments exchanged": _saved(_exchanged), "a page less": _saved(_page_less),
+    "pages in another order": _saved(_pages_turned), "the file written anew": _saved(_as_it_is),
+}  # fmt: skip
 KINDS: Final = {**XML, **PDF}
 
 
@@ -331,11 +322,7 @@ def dry_run(folder: Path) -> Path:
 
 def main() -> int:
     """Make a pair, change it so many times, print what came of it."""
-    ask = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    ask.add_argument("--number", type=int, default=1000)
-    ask.add_argument("--seed", type=int, default=16)
-    ask.add_argument("--out", type=Path)
-    asked = ask.parse_args()
+    asked = arguments(__doc__, number=1000, seed=16, out=Path)
     found: dict[str, Counter[str]] = {kind: Counter() for kind in KINDS}
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)

@@ -11,7 +11,6 @@ Promised: equal within 1e-12 of their size. Exit status 1 otherwise.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import re
@@ -28,6 +27,7 @@ from bench.base.arrays import Floats
 from bench.certificate.content import Certificate, Issue
 from bench.certificate.dcc.document import document_of
 from bench.certificate.gather import certificate_of
+from benchmarks.campaign import arguments
 from benchmarks.certificate_desk import prepare
 from drivers.clock import utc_now
 
@@ -143,17 +143,13 @@ def filled_cache(schema: Path, cache: Path) -> None:
         (folder / path.name).write_text(text, encoding="utf-8")
 
 
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+def main(argv: list[str] | None = None) -> int:
+    asked = arguments(
+        __doc__,
+        argv,
+        python={"required": True, "metavar": "FILE", "help": "that of an environment with both readers"},
+        schema={"type": Path, "metavar": "DIR", "help": "the institute's schemas, all that they import"},
     )
-    parser.add_argument(
-        "--python", required=True, metavar="FILE", help="that of an environment with both readers"
-    )
-    parser.add_argument(
-        "--schema", type=Path, metavar="DIR", help="the institute's schemas, all that they import"
-    )
-    asked = parser.parse_args(arguments)
     wrong = 0
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)

@@ -11,7 +11,6 @@ look. Exit status 1 where one is not as it should be.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -28,6 +27,7 @@ from bench.certificate.laboratory import Adjusted, texts_of
 from bench.certificate.life import Desk
 from bench.certificate.signatory import new_certificate_key, signatory_of
 from bench.certificate.signatures import sign_xml
+from benchmarks.campaign import arguments
 from benchmarks.certificate_desk import prepare
 from drivers.clock import utc_now
 
@@ -58,12 +58,8 @@ def certificates(desk: Desk, name: str) -> Iterator[tuple[str, Certificate]]:
     yield "no verification", replace(plain, found=replace(plain.found, verdict=None))
 
 
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--schema", type=Path, required=True, metavar="DIR")
-    asked = parser.parse_args(arguments)
+def main(argv: list[str] | None = None) -> int:
+    asked = arguments(__doc__, argv, schema={"type": Path, "required": True, "metavar": "DIR"})
     schemas = read_schemas(asked.schema)
     print(f"schemas in {asked.schema}; stand-ins for: {', '.join(schemas.stood_in) or 'nothing'}")
     wrong = 0

@@ -13,7 +13,6 @@ Each share is followed by the counts and the Wilson 95 % interval.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -26,8 +25,15 @@ from bench.model import CATALOGUE as NAMES
 from benchmarks.blind_trial.adapter import diagnose_case
 from benchmarks.blind_trial.cases import Row, make_case
 from benchmarks.blind_trial.effects import CATALOGUE
-from benchmarks.blind_trial.reference import MODEL_COUNTS_FROM_C, coefficients_at
-from benchmarks.blind_trial.score import SIGNIFICANT, Outcome, Share, Task, run_trial
+from benchmarks.blind_trial.score import (
+    MODEL_COUNTS_FROM_C,
+    SIGNIFICANT,
+    Outcome,
+    Task,
+    coefficients_at,
+    run_trial,
+)
+from benchmarks.campaign import Share, arguments
 
 
 def tasks(seed: int, row: Row, each: int, only: Sequence[str]) -> list[Task]:
@@ -67,14 +73,11 @@ def share(ps: Iterable[float]) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the cases and print the table; return the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.coefficients_after_naming")
-    parser.add_argument("--seed", type=int, default=11)
-    parser.add_argument("--rho", type=float, nargs="+", default=[15.0, 30.0])
-    parser.add_argument("--design", nargs="+", default=["paper"])
-    parser.add_argument("--each", type=int, default=4, help="cases of each effect at each rho and design")
-    parser.add_argument("--only", nargs="+", default=[], choices=list(CATALOGUE), metavar="EFFECT")
-    parser.add_argument("--workers", type=int, default=1)
-    given = parser.parse_args(argv)
+    given = arguments(
+        __doc__, argv, seed=11, rho=[15.0, 30.0], design=["paper"],
+        each=(4, "cases of each effect at each rho and design"),
+        only={"nargs": "+", "default": [], "choices": list(CATALOGUE), "metavar": "EFFECT"}, workers=1,
+    )  # fmt: skip
     rows = [Row("single", design, rho) for design in given.design for rho in given.rho]
     todo = [task for row in rows for task in tasks(given.seed, row, given.each, given.only)]
     start = time.perf_counter()

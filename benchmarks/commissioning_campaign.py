@@ -13,7 +13,6 @@ when there is one.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import functools
 import random
@@ -36,7 +35,8 @@ from bench.base.arrays import ARCSEC
 from bench.config.bench_file.file import load_bench
 from bench.run.commission.course import CABLE
 from bench.services.instruments import PAGE, Setting, commission
-from benchmarks.fault_trials import ROOT, exact
+from benchmarks.campaign import arguments
+from benchmarks.fault_campaign import ROOT, exact
 from drivers.interfaces import BenchError
 from sim.bench import SimulatedBench
 from sim.wires.faults import OF_INSTRUMENT, Fault, FaultKind
@@ -287,12 +287,10 @@ def violations(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2, help="processes")
-    parser.add_argument("--limit", type=float, default=LIMIT_S, help="how long an evening may take, s")
-    parser.add_argument("--bench", nargs="*", help="shipped bench files by name (default: all)")
-    given = parser.parse_args()
+    given = arguments(
+        __doc__, seed=1, jobs=(2, "processes"), limit=(LIMIT_S, "how long an evening may take, s"),
+        bench={"nargs": "*", "help": "shipped bench files by name (default: all)"},
+    )  # fmt: skip
     names = given.bench or sorted(file.stem for file in (ROOT / "config").glob("*.yaml"))
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)

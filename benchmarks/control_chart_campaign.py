@@ -10,7 +10,6 @@ beside the published ones, by simulation and by the integral equation.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
@@ -30,6 +29,7 @@ from bench.stats.control_charts import (
     shewhart_arl,
     short_term,
 )
+from benchmarks.campaign import arguments
 
 P: Final = 12
 LATER: Final = 25
@@ -243,11 +243,12 @@ TABLES: Final = {"rejections": print_rejections, "wrong": print_wrong, "lengths"
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=1_000_000, help="chart points of each row")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--table", choices=TABLES, help="one of the three alone")
-    asked = parser.parse_args()
+    asked = arguments(
+        __doc__,
+        runs=(1000000, "chart points of each row"),
+        seed=1,
+        table={"choices": TABLES, "help": "one of the three alone"},
+    )
     for name, table in TABLES.items():
         if asked.table in (None, name):
             table(asked.runs, asked.seed)

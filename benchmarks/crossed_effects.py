@@ -9,7 +9,6 @@ of the mean, the stated u over the scatter found, and the rms of z of benches' e
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.stats.crossed_effects import Crossing, fit, solve
+from benchmarks.campaign import arguments
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,9 @@ def drawn(
 
 
 CASES = (
-    (200, 60, 4, (3.0, 1.0, 1.0)),
-    (600, 150, 10, (3.0, 1.0, 1.0)),
-    (600, 150, 10, (0.3, 0.3, 0.3)),
-    (2000, 1500, 10, (3.0, 1.0, 1.0)),
-    (5000, 1000, 50, (3.0, 1.0, 1.0)),
-)
+    (200, 60, 4, (3.0, 1.0, 1.0)), (600, 150, 10, (3.0, 1.0, 1.0)), (600, 150, 10, (0.3, 0.3, 0.3)),
+    (2000, 1500, 10, (3.0, 1.0, 1.0)), (5000, 1000, 50, (3.0, 1.0, 1.0)),
+)  # fmt: skip
 
 
 def recovery(runs: int, seed: int) -> Iterator[str]:
@@ -108,14 +105,10 @@ def speed(values: int, units: int, benches: int, seed: int) -> Iterator[str]:
 
 def main() -> None:
     """Print what was asked for."""
-    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    asked.add_argument("what", choices=("recovery", "speed"))
-    asked.add_argument("--runs", type=int, default=200)
-    asked.add_argument("--seed", type=int, default=1)
-    asked.add_argument("--values", type=int, default=100_000)
-    asked.add_argument("--units", type=int, default=20_000)
-    asked.add_argument("--benches", type=int, default=50)
-    given = asked.parse_args()
+    given = arguments(
+        __doc__, what={"positional": True, "choices": ("recovery", "speed")}, runs=200, seed=1,
+        values=100000, units=20000, benches=50,
+    )  # fmt: skip
     lines = (
         recovery(given.runs, given.seed)
         if given.what == "recovery"

@@ -11,7 +11,6 @@ alarms, too, for this comparison; the application has fewer.
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +19,7 @@ from scipy import stats
 from bench.diagnosis.evidence import Search, Whitened
 from bench.diagnosis.noise_grid import make_noise_grid
 from bench.diagnosis.threshold import null_responses, total_evidence
+from benchmarks.campaign import arguments
 from tests.support.diagnosis_bench import NOISE_V, Set, paper_run, set_up
 from tests.support.paper_bench import SETTING_U_RAD
 
@@ -31,9 +31,7 @@ NULLS = 6000
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description="Power of the search beside the matched filter's.")
-    parser.add_argument("--sets", type=int, default=1000, help="simulated runs for each size")
-    sets = parser.parse_args().sets
+    sets = arguments(__doc__, sets=(1000, "simulated runs for each size")).sets
     one = set_up(paper_run(None))
     typical = np.sqrt(np.sum(one.linear.slope**2) / (one.linear.setting.max() + 1))
     ratio = SETTING_U_RAD * typical / NOISE_V

@@ -9,15 +9,12 @@ One core. Promised: less than 60 s and less than 1 s.
 
 from __future__ import annotations
 
-import argparse
-import os
 import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one core
 import numpy as np
 
 from bench.config.bench_file.file import load_bench
@@ -27,15 +24,12 @@ from bench.diagnosis.full import diagnose_fully
 from bench.model import ForwardModel
 from benchmarks.blind_trial.adapter import LOCAL_GRAVITY, STATED_BENCH
 from benchmarks.blind_trial.cases import Case, Row, make_case
+from benchmarks.campaign import arguments
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Diagnose the cases and print the table; return the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.diagnosis_speed")
-    parser.add_argument("--seed", type=int, default=5)
-    parser.add_argument("--rho", type=float, default=20.0)
-    parser.add_argument("--each", type=int, default=17, help="cases of each kind")
-    given = parser.parse_args(argv)
+    given = arguments(__doc__, argv, seed=5, rho=20.0, each=(17, "cases of each kind"))
     bench = load_bench(find_bench(STATED_BENCH))
     model = ForwardModel(bench.installation_models())
     spent: dict[str, list[float]] = defaultdict(list)

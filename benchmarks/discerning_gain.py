@@ -10,14 +10,13 @@ the table compares procedures, and does not say how well effects of a real bench
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
-from bench.config.procedure.plan import Read
+from bench.config.procedure.steps import Read
 from bench.config.shipped import find_bench, find_procedure
 from bench.diagnosis.candidates import make_candidates
 from bench.diagnosis.evidence import Whitened
@@ -30,6 +29,7 @@ from bench.diagnosis.threshold import make_threshold
 from bench.diagnosis.visibility import EffectPart, Form, ReadingDesign
 from bench.model import CATALOGUE, ForwardModel
 from bench.readings.table import UNORIENTED, VERIFICATION
+from benchmarks.campaign import arguments
 
 PROCEDURES = ("paper", "calibration", "discerning")
 FOR_TIES = (*PROCEDURES, "turn-12", "turn-24", "remount-90")
@@ -173,22 +173,12 @@ class Trial:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--draws", type=int, default=300)
-    parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
+    given = arguments(__doc__, draws=300, seed=1)
     trials = {procedure: Trial(procedure) for procedure in FOR_TIES}
     heads = (
-        "procedure",
-        "settings",
-        "hours",
-        "named",
-        "true name in the set",
-        "size of the set",
+        "procedure", "settings", "hours", "named", "true name in the set", "size of the set",
         "named alone",
-    )
+    )  # fmt: skip
     print(f"| {' | '.join(heads)} | of these right |")
     print(f"|{'---|' * (len(heads) + 1)}")
     for procedure in PROCEDURES:

@@ -14,14 +14,11 @@ the whole result in less than 50 ms, the batch 20 times faster than a loop.
 
 from __future__ import annotations
 
-import argparse
-import os
 import statistics
 import sys
 import time
 from collections.abc import Callable, Mapping
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads only get in each other's way
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -31,6 +28,7 @@ from bench.calibration.calibrate import first_guess
 from bench.calibration.design import make_problem
 from bench.calibration.gls import fit
 from bench.readings.table import Readings
+from benchmarks.campaign import arguments
 from benchmarks.signed_uncertainty import Calibrator
 from tests.support.honest_runs import MODEL, simulate_many
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, TRUTH, design, simulate, specific_force
@@ -140,10 +138,7 @@ def of_fits(tables: list[Readings]) -> dict[str, Callable[[int], object]]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--units", type=int, default=2000, help="units of the batch")
-    parser.add_argument("--times", type=int, default=60, help="calls of each")
-    given = parser.parse_args()
+    given = arguments(__doc__, units=(2000, "units of the batch"), times=(60, "calls of each"))
     tables = [simulate(np.random.default_rng([3, k]), NOISE_V) for k in range(given.times)]
     runs = [simulate_whole(np.random.default_rng([4, k]), "stand").readings for k in range(given.times)]
     whole = Calibrator()

@@ -12,22 +12,341 @@ Prints a table by kind of fault and every violation; exit status 1 when there is
 
 from __future__ import annotations
 
-import argparse
+import contextlib
 import faulthandler
+import functools
+import io
 import random
 import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+from unittest import mock
 
-from benchmarks.fault_trials import LIMIT_S, ROOT, Outcome, Stand, Trial, carry_out, stands
-from sim.wires.faults import Fault, FaultKind
+import numpy as np
+import yaml
+
+import bench.run.assembly.served
+from bench.cli.app import main as bench_command
+from bench.config.bench_file.file import BenchFile, load_bench
+from bench.model import Conditions, ForwardModel, stand_errors
+from bench.run.folder import Run
+from benchmarks.campaign import arguments
+from sim.bench import SimulatedBench
+from sim.wires.faults import OF_INSTRUMENT, Fault, FaultKind, FaultyInstrument
+from sim.wires.session import ServedInstrument, WireFault
+
+ROOT = Path(__file__).resolve().parents[1]
+
+TIMEOUT: Final = "0.2 s"
+LIMIT_S: Final = 6.0
+"""A run may take this long: a fault costs two attempts at a step, each with a few timeouts of 0.2 s."""
+VALUE_V: Final = 1e-7
+TEMPERATURE_C: Final = 0.5
+
+PROCEDURE: Final = """\
+procedure: short
+title: Three points
+reading: {{samples: 2, nplc: 1, settle: 1 s}}
+steps:
+{temperature}  - installation:
+      label: 1
+      steps:
+        - turn: {{angles: [10 deg, 55 deg, 100 deg]}}
+"""
+TEMPERATURE: Final = "  - temperature: {at: 30 degC, soak: 20 min}\n"
+READINGS: Final = 3
+
+
+@dataclass(frozen=True)
+class Stand:
+    """A bench file made exact, the procedure for it, and how many exchanges each instrument has in a run."""
+
+    name: str
+    bench: Path
+    procedure: Path
+    exchanges: Mapping[str, int]
+    able: Mapping[str, tuple[str, ...]]
+    """By kind of fault, the instruments that can have it."""
+    behind_adapter: tuple[str, ...]
+    """The meters that suffer when the GPIB adapter does."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One run with its faults."""
+
+    name: str
+    stand: Stand
+    kind: str
+    faults: tuple[Fault, ...]
+
+
+@dataclass
+class Outcome:
+    """What became of a trial."""
+
+    trial: Trial
+    struck: int = 0
+    completed: bool = False
+    resumed: bool = False
+    time_s: float = 0.0
+    wrong_values: int = 0
+    said: str = ""
+    violations: list[str] = field(default_factory=list)
+
+
+# --- the benches ------------------------------------------------------------------------------------
+
+
+def exact(data: dict[str, Any], timeout: str) -> dict[str, Any]:
+    """Return a bench file's data without any error of stand, voltmeter and operator, with these timeouts."""
+    for name, size in data["stand"].items():
+        size["limit"] = "0 V" if name == "voltmeter_error" else "0 arcsec"
+    simulation = data.setdefault("simulation", {})
+    simulation["voltmeter"] = {"noise": False, "accuracy": None}
+    simulation.setdefault("operator", {})["slip_probability"] = 0.0
+    if "chamber" in simulation:
+        simulation["chamber"]["sensor_noise"] = "0 K"
+    data.pop("effects", None)
+    instruments = data["instruments"]
+    with_wire = [part for part in (instruments["head"], instruments.get("chamber")) if part]
+    for section in [*instruments["voltmeters"], *with_wire]:
+        if "resource" in section:
+            section["timeout"] = timeout
+    return data
+
+
+def stands(folder: Path, names: Sequence[str], timeout: str = TIMEOUT) -> list[Stand]:
+    """Make the benches of these bench files, each with a run without faults that counts the exchanges.
+
+    Raises `RuntimeError` when that run fails.
+    """
+    made = []
+    for name in names:
+        shipped = (ROOT / "config" / f"{name}.yaml").read_text(encoding="utf-8")
+        data = exact(yaml.safe_load(shipped), timeout)
+        chamber = data["instruments"].get("chamber") or {}
+        heated = chamber.get("driver", "manual-chamber") != "manual-chamber"
+        bench_file, procedure = folder / f"{name}.yaml", folder / f"{name}-procedure.yaml"
+        bench_file.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+        procedure.write_text(PROCEDURE.format(temperature=TEMPERATURE if heated else ""), encoding="utf-8")
+        on_bus = tuple(n for meter in data["instruments"]["voltmeters"] for n in _on_bus(meter))
+        bare = Stand(name, bench_file, procedure, {}, {}, on_bus)
+        with watched(()) as watch:
+            status, said, _ = command(run_arguments(bare, folder, f"{name}-undisturbed"))
+        if status != 0:
+            raise RuntimeError(f"{name}: the run without faults ended with {status}: {said}")
+        exchanges = {w.name: w.exchanges for w in watch.wires}
+        able = {
+            str(kind): tuple(w.name for w in watch.wires if w.exchanges and w.can_have(kind))
+            for kind in FaultKind
+        }
+        made.append(Stand(name, bench_file, procedure, exchanges, able, on_bus))
+    return made
+
+
+def _on_bus(meter: Mapping[str, Any]) -> list[str]:
+    """Return the name of a meter that is reached through a GPIB adapter, in a list, or none."""
+    channels = meter.get("channels") or list(meter.get("inputs", {}))
+    name = meter.get("name", f"voltmeter.{''.join(channels)}")
+    return [name] if meter["resource"].lower().startswith("prologix") else []
+
+
+def run_arguments(stand: Stand, runs: Path, name: str) -> list[str]:
+    """Return the command line of a dry run."""
+    chosen = ["--bench", str(stand.bench), "--name", name, "--runs", str(runs)]
+    return ["run", str(stand.procedure), "--dry-run", *chosen]
+
+
+# --- faults in a run --------------------------------------------------------------------------------
+
+
+class WatchedWire:
+    """One instrument of the simulation; counts its exchanges, and those that its wire spoilt."""
+
+    def __init__(self, faulty: FaultyInstrument, wired: ServedInstrument) -> None:
+        self.name = faulty.name
+        self.exchanges = 0
+        self.spoilt = 0
+        self._faulty = faulty
+        self._handle = faulty.handle
+        self._has_wire = wired.dialect is faulty  # one on a GPIB bus has none of its own
+        faulty.handle = self._count  # type: ignore[method-assign]
+        if self._has_wire:
+            wired.fault = self._spoil
+
+    def can_have(self, kind: FaultKind) -> bool:
+        """Whether this instrument can have faults of a kind."""
+        of_wire = kind not in OF_INSTRUMENT
+        return (self._has_wire or not of_wire) and self._faulty.can_have(
+            Fault(kind, at=1, seconds=0.1 if kind is FaultKind.LATE else 0.0)
+        )
+
+    def _count(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
+        self.exchanges += 1
+        return self._handle(message, interrupted)
+
+    def _spoil(self, message: bytes, reply: bytes | None) -> WireFault | None:
+        made = self._faulty.wire_fault(message, reply)
+        self.spoilt += made is not None
+        return made
+
+
+class Watch:
+    """Arms the faults in the simulated bench of the next run, and counts."""
+
+    def __init__(self, faults: Sequence[Fault]) -> None:
+        self.faults = faults
+        self.wires: list[WatchedWire] = []
+
+    def __call__(self, *arguments: Any, **named: Any) -> SimulatedBench:
+        """Stand for the class `SimulatedBench` in the composition root."""
+        simulated = SimulatedBench(*arguments, **named)
+        for fault in self.faults:
+            simulated.arm(fault)
+        for name, faulty in simulated.faulty.items():
+            self.wires.append(WatchedWire(faulty, simulated.wired[name]))
+        return simulated
+
+    @property
+    def struck(self) -> int:
+        """How many of the faults have struck, as far as can be seen."""
+        by_name = {wire.name: wire for wire in self.wires}
+        seen = sum(wire.spoilt for wire in self.wires)
+        for fault in self.faults:
+            if fault.kind in OF_INSTRUMENT and fault.at is not None and fault.instrument in by_name:
+                seen += by_name[fault.instrument].exchanges >= fault.at
+        return seen
+
+
+@contextlib.contextmanager
+def watched(faults: Sequence[Fault]) -> Iterator[Watch]:
+    """Within the context, a dry run has these faults."""
+    watch = Watch(faults)
+    with mock.patch.object(bench.run.assembly.served, "SimulatedBench", watch):
+        yield watch
+
+
+# --- a trial ----------------------------------------------------------------------------------------
+
+
+def command(arguments: list[str]) -> tuple[int, str, float]:
+    """Run a command; return exit status, standard error and how long it took, s."""
+    out, err = io.StringIO(), io.StringIO()
+    begun_s = time.monotonic()
+    status: Any = None
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            bench_command(arguments)
+        except SystemExit as ended:
+            status = ended.code
+    return status, err.getvalue(), time.monotonic() - begun_s
+
+
+def carry_out(trial: Trial, folder: Path, limit_s: float = LIMIT_S) -> Outcome:
+    """Run, judge, and where the run stopped, resume and judge again."""
+    outcome = Outcome(trial)
+    name = f"trial-{trial.name}"
+    with watched(trial.faults) as watch:
+        status, outcome.said, outcome.time_s = command(run_arguments(trial.stand, folder, name))
+    outcome.struck = watch.struck
+    run = Run(folder / name)
+    outcome.completed = status == 0
+    judge_record(run, outcome)
+    if outcome.time_s > limit_s:
+        outcome.violations.append(f"hang: the run took {outcome.time_s:.1f} s")
+    if status == 0:
+        judge_finished(run, outcome)
+    else:
+        judge_stop(status, outcome)
+        with watched(()):
+            status, said, _ = command(["resume", name, "--runs", str(folder)])
+        resumed = Run(folder / name)
+        judge_record(resumed, outcome)
+        judge_finished(resumed, outcome)
+        if status == 0:
+            outcome.resumed = True
+        else:
+            outcome.violations.append(f"the resumed run ended with {status}: {said.strip()}")
+    return outcome
+
+
+def judge_stop(status: Any, outcome: Outcome) -> None:
+    """A run that stopped says why in lines of its own, with the instrument's name, and no traceback."""
+    said = outcome.said
+    if status != 2:
+        outcome.violations.append(f"exit status {status}: {said.strip()}")
+    if "Traceback" in said or "unexpected" in said:
+        outcome.violations.append(f"not one of our errors: {said.strip()}")
+    struck = {fault.instrument for fault in outcome.trial.faults}
+    behind = outcome.trial.stand.behind_adapter if "adapter" in struck else ()
+    if not any(f"{name}:" in said for name in (*struck, *behind)):
+        outcome.violations.append(f"the instrument is not named: {said.strip()}")
+
+
+def judge_record(run: Run, outcome: Outcome) -> None:
+    """The chain is whole and every value on record is true."""
+    history = run.history
+    outcome.violations += history.problems
+    if history.torn:
+        outcome.violations.append("the last line of the record is torn")
+    wrong = [
+        text for event in history.events if "reading" in event.data for text in judged(outcome, event.data)
+    ]
+    outcome.wrong_values += len(wrong)
+    outcome.violations += wrong
+
+
+@functools.cache
+def _bench_file(path: Path) -> BenchFile:
+    return load_bench(path)
+
+
+def judged(outcome: Outcome, step: Mapping[str, Any]) -> list[str]:
+    """Return what is wrong with a recorded reading: against the forward model, at the angle on record."""
+    reading = step["reading"]
+    stand = _bench_file(outcome.trial.stand.bench)
+    conditions = Conditions.of(
+        [reading["installation"]], [np.radians(reading["angle_deg"])], series=[reading["series"]],
+        direction=[reading["direction"]], time_s=[reading["time_s"]], temperature_c=[0.0],
+    )  # fmt: skip
+    model = ForwardModel(stand.installation_models())
+    true_v = model.readings(stand.simulated_block(), conditions, stand_errors()[np.newaxis, :], 0.0)[0]
+    taken_v = np.array([reading["mean"], *zip(*(reading["samples"][c] for c in "xyz"), strict=True)])
+    wrong = []
+    if not np.all(np.abs(taken_v - true_v) <= VALUE_V):
+        wrong.append(
+            f"wrong value: {taken_v.tolist()} V on record, {true_v.tolist()} V is true ({step['key']})"
+        )
+    if abs(reading["angle_deg"] - reading["target_deg"]) > 0.01:
+        wrong.append(f"wrong angle: {reading['angle_deg']}° for {reading['target_deg']}°")
+    if reading["temperature_c"] is not None:
+        true_c = 30.0 if TEMPERATURE in outcome.trial.stand.procedure.read_text(encoding="utf-8") else 23.0
+        if abs(reading["temperature_c"] - true_c) > TEMPERATURE_C:
+            wrong.append(f"wrong temperature: {reading['temperature_c']} °C on record, {true_c} °C is true")
+    return wrong
+
+
+def judge_finished(run: Run, outcome: Outcome) -> None:
+    """A finished run has exactly the readings planned."""
+    if run.history.state != "finished":
+        outcome.violations.append(f"the run is {run.history.state}, not finished")
+        return
+    targets = [round(float(t)) for t in np.degrees(run.readings().target_rad)]
+    if targets != [10, 55, 100]:
+        outcome.violations.append(f"not the readings planned: {targets}")
+
+
+# --- the campaign ----------------------------------------------------------------------------------------
+
 
 STUCK_S: Final = 90.0
 STORM: Final = "storm"
@@ -69,12 +388,9 @@ def draw_fault(generator: random.Random, stand: Stand, kind: FaultKind) -> Fault
     # Half of them in the second half, where the readings are.
     first = generator.choice((1, max(1, exchanges // 2)))
     return Fault(
-        kind,
-        at=generator.randint(first, exchanges),
-        seconds=seconds,
-        error=generator.choice(_ERRORS),
+        kind, at=generator.randint(first, exchanges), seconds=seconds, error=generator.choice(_ERRORS),
         instrument=instrument,
-    )
+    )  # fmt: skip
 
 
 def guarded(trial: Trial, folder: Path, limit_s: float) -> Outcome:
@@ -126,14 +442,12 @@ def violations(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--faults", type=int, default=1200, help="at least so many")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2, help="processes")
-    parser.add_argument("--limit", type=float, default=LIMIT_S, help="how long a run may take, s")
-    parser.add_argument("--bench", nargs="*", help="shipped bench files by name (default: all)")
-    parser.add_argument("--stops", action="store_true", help="also print why runs stopped")
-    given = parser.parse_args()
+    given = arguments(
+        __doc__, faults=(1200, "at least so many"), seed=1, jobs=(2, "processes"),
+        limit=(LIMIT_S, "how long a run may take, s"),
+        bench={"nargs": "*", "help": "shipped bench files by name (default: all)"},
+        stops=(False, "also print why runs stopped"),
+    )  # fmt: skip
     names = given.bench or sorted(file.stem for file in (ROOT / "config").glob("*.yaml"))
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)

@@ -12,7 +12,6 @@ Standard errors are beside; coverage is of k = 2, with Wilson's interval of 95 %
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 
 import numpy as np
@@ -23,6 +22,7 @@ from bench.history.comparison import SECONDS_PER_YEAR
 from bench.history.drift import history_drift
 from bench.history.equivalence import STANDARD_GRAVITY, Measured
 from bench.history.prior import join, prior_of
+from benchmarks.campaign import arguments
 
 FIRST = np.datetime64("2020-01-01", "s")
 BATCH = 500
@@ -115,11 +115,7 @@ def measured(unit: np.ndarray[tuple[int, ...], np.dtype[np.int64]], values: Floa
 
 def main() -> None:
     """Print what was asked for."""
-    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    asked.add_argument("what", choices=("drift", "prior"))
-    asked.add_argument("--runs", type=int, default=400)
-    asked.add_argument("--seed", type=int, default=1)
-    given = asked.parse_args()
+    given = arguments(__doc__, what={"positional": True, "choices": ("drift", "prior")}, runs=400, seed=1)
     for line in (drift if given.what == "drift" else prior)(given.runs, given.seed):
         print(line, flush=True)
 

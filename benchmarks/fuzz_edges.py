@@ -10,8 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from benchmarks.fuzz_inputs import ROOT, Case, as_csv, readings, shipped
-from benchmarks.fuzz_spoiling import WEIRD, as_yaml, at, places
+from benchmarks.campaign import ROOT
+from benchmarks.fuzz_inputs import WEIRD, Case, as_csv, as_yaml, at, places, readings, shipped
 
 DIGITS: Final = {
     name: str.maketrans("0123456789", "".join(chr(zero + k) for k in range(10)))

@@ -24,15 +24,12 @@ The simulation does not use the application's geometry. Exit status 1 when a pro
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads only get in each other's way
 import numpy as np
 from scipy import stats
 
@@ -40,6 +37,7 @@ from bench.calibration.batch import calibrate_batch
 from bench.calibration.components import ASKED_P
 from bench.calibration.result import COVERAGE_FACTOR
 from bench.model.geometry import COEFFICIENTS
+from benchmarks.campaign import arguments
 from tests.support.honest_runs import (
     FEW,
     MODEL,
@@ -169,16 +167,12 @@ def clean(pool: ProcessPoolExecutor, seed: int, count: int) -> list[str]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=2000)
-    parser.add_argument("--noise", type=float, nargs="+", default=[1e-4, 2e-5], help="voltmeter noise, V")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=1, help="run k has the seed [seed, k]")
-    parser.add_argument("--batch", type=int, default=0, help="units to calibrate at once")
-    parser.add_argument("--joined", type=int, default=0, help="runs in which free positions join")
-    parser.add_argument("--few", type=int, default=0, help="runs of each design with few readings")
-    parser.add_argument("--clean", type=int, default=0, help="runs of which the readings share nothing")
-    given = parser.parse_args()
+    given = arguments(
+        __doc__, runs=2000, noise=([0.0001, 2e-05], "voltmeter noise, V"), workers=2,
+        seed=(1, "run k has the seed [seed, k]"), batch=(0, "units to calibrate at once"),
+        joined=(0, "runs in which free positions join"), few=(0, "runs of each design with few readings"),
+        clean=(0, "runs of which the readings share nothing"),
+    )  # fmt: skip
     broken: list[str] = []
     with ProcessPoolExecutor(given.workers) as pool:
         if given.few:

@@ -10,7 +10,6 @@ The moments are spread by seed over the life of the process, its start and its c
 
 from __future__ import annotations
 
-import argparse
 import random
 import subprocess
 import sys
@@ -23,6 +22,7 @@ import numpy as np
 
 from bench.run.folder import Run
 from bench.run.record import read_history
+from benchmarks.campaign import arguments
 
 PROGRAM = [sys.executable, "-c", "from bench.cli.program import main; main()"]
 PROCEDURE = "quick"
@@ -74,12 +74,7 @@ def differences(run: Run, expected: Run) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--workers", type=int, default=2)
-    options = parser.parse_args()
+    options = arguments(__doc__, kills=200, workers=2)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         start(folder, "run", PROCEDURE, "--dry-run", "--seed", "7", "--name", "whole").wait()

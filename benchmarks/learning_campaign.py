@@ -20,10 +20,8 @@ The simulation shares no geometry with the model (`tests.support.learning_bench`
 from __future__ import annotations
 
 import argparse
-import os
 import time
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads only get in each other's way
 import numpy as np
 from scipy.stats import binomtest
 
@@ -33,6 +31,7 @@ from bench.history.learning import learn
 from bench.history.run_sums import run_fit
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2, Installation
+from benchmarks.campaign import arguments
 from tests.support.learning_bench import KINDS, STATED, Bench, simulate
 from tests.support.paper_bench import ARCSEC
 
@@ -156,14 +155,10 @@ def show_exchanged(asked: argparse.Namespace) -> None:
 
 def main() -> int:
     """Run it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--runs", type=int, default=200, help="benches")
-    parser.add_argument("--blocks", type=int, default=30, help="runs of each bench")
-    parser.add_argument("--own", choices=list(OWN), default="")
-    parser.add_argument("--next", type=int, default=0)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--exchange", type=int, default=0)
-    asked = parser.parse_args()
+    asked = arguments(
+        __doc__, runs=(200, "benches"), blocks=(30, "runs of each bench"),
+        own={"choices": list(OWN), "default": ""}, next=0, seed=1, exchange=0,
+    )  # fmt: skip
     if asked.exchange:
         show_exchanged(asked)
         return 0

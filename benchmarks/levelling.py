@@ -13,25 +13,23 @@ broken.
 
 from __future__ import annotations
 
-import argparse
 import math
-import os
 import sys
 from dataclasses import dataclass, field
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from scipy import stats
 
 from bench.base.arrays import Floats
 from bench.calibration import calibrate
-from bench.config.procedure.plan import Level as LevelStep
+from bench.config.procedure.steps import Level as LevelStep
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
 from bench.readings.corrected import Seen, with_levels
 from bench.readings.table import make_readings
 from bench.run.instruments import Instruments
 from bench.run.workbench import Levelling
+from benchmarks.campaign import arguments
 from drivers.interfaces import Direction, HeadPosition, Identity, Inclination, LevelSizes
 from drivers.person import Answer, Prompt
 from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
@@ -229,10 +227,7 @@ def show_calibrations(runs: int) -> list[str]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--levellings", type=int, default=1000)
-    parser.add_argument("--runs", type=int, default=300)
-    given = parser.parse_args()
+    given = arguments(__doc__, levellings=1000, runs=300)
     broken = show_levellings(given.levellings)
     broken += show_calibrations(given.runs) if given.runs else []
     print("every bar holds" if not broken else "\n".join(["broken:", *broken]))

@@ -9,11 +9,12 @@ the ratio is to one run, diagnosed in the same way. The limits for twenty are a 
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import resource
 import time
 from typing import Final
+
+from benchmarks.campaign import arguments
 
 LIMIT_S: Final = 60.0
 LIMIT_MB: Final = 1000.0
@@ -36,15 +37,9 @@ def measure(runs: int, blocks: bool) -> tuple[float, float, str]:
     bench = load_bench(find_bench("paper-stand"))
     model = ForwardModel(bench.installation_models())
     full = diagnose_fully(
-        case.readings,
-        model,
-        bench,
-        G_M_S2,
-        ThresholdCache(None),
-        source="many",
-        simulated=False,
+        case.readings, model, bench, G_M_S2, ThresholdCache(None), source="many", simulated=False,
         stated=False,
-    )
+    )  # fmt: skip
     render_diagnosis(full, "many", bench.verification_limit_g, {"model": model.name})
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     return time.process_time(), peak, full.diagnosis.verdict
@@ -52,11 +47,7 @@ def measure(runs: int, blocks: bool) -> tuple[float, float, str]:
 
 def main() -> int:
     """Print a table; return 1 where twenty runs or fewer take more than the limits."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--runs", type=int, nargs="+", default=[1, 5, 20])
-    given = parser.parse_args()
+    given = arguments(__doc__, runs=[1, 5, 20])
     context = multiprocessing.get_context("spawn")
     over = False
     print("runs  blocks     CPU / s   ratio   peak / MB   ratio   verdict")

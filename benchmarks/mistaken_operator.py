@@ -16,7 +16,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.config.procedure.plan import Mount, Plan, Turn
+from bench.config.procedure.plan import Plan
+from bench.config.procedure.steps import Mount, Turn
 from bench.model import Installation
 from bench.run.expectation import orientations
 from drivers.interfaces import CHANNELS, Channel, Direction
@@ -26,16 +27,9 @@ from sim.world.world import World
 
 MISREAD: Final = {"misread 1°": 3600.0, "misread 10′": 600.0, "misread 1′": 60.0}
 KINDS: Final = (
-    "not remounted",
-    "remounted wrongly",
-    "not turned",
-    "turned to the next point",
-    "wrong direction",
-    "cables swapped",
-    *MISREAD,
-    "misread 360° - x",
-    "typed",
-)
+    "not remounted", "remounted wrongly", "not turned", "turned to the next point", "wrong direction",
+    "cables swapped", *MISREAD, "misread 360° - x", "typed",
+)  # fmt: skip
 TYPED: Final = (3600.0, -3600.0, 600.0, -600.0, 60.0, -60.0, None)
 """What is typed where the head stands right, arcsec off; None for 360° - x."""
 

@@ -17,7 +17,6 @@ likely, one of them is. Prints a table with Wilson intervals (95 %); exit status
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -40,7 +39,8 @@ from bench.base.arrays import Floats
 from bench.calibration import CalibrationError
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.config.procedure.load import load_procedure
-from bench.config.procedure.plan import Mount, Plan, Read, Turn, Wait
+from bench.config.procedure.plan import Plan
+from bench.config.procedure.steps import Mount, Read, Turn, Wait
 from bench.model import ForwardModel
 from bench.readings.reading import Reading
 from bench.run.assembly.instruments import operator_of, world_of
@@ -54,7 +54,7 @@ from bench.services.errors import Refused
 from bench.services.execution import carry_out, new_run
 from bench.services.requests.measuring import RunRequest
 from bench.services.source import Request, load_sources
-from benchmarks.blind_trial.score import Share
+from benchmarks.campaign import Share, arguments
 from benchmarks.mistaken_operator import KINDS, Mistake, MistakenOperator, draw, pass_of
 from drivers.instruments.manual import ManualHead
 from drivers.interfaces import CHANNELS
@@ -341,19 +341,14 @@ def _one(part: str, seed: int, given: dict[str, Any], task: tuple[str, int]) -> 
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=["watcher", "whole", "table"])
-    parser.add_argument("files", nargs="*", type=Path, help="results of parts, for 'table'")
-    parser.add_argument("--runs", type=int, default=20, help="runs of each kind of mistake")
-    parser.add_argument("--clean", type=int, default=50, help="runs without a mistake")
-    parser.add_argument("--kinds", nargs="*", choices=KINDS, help="(default: all)")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--procedure", default="calibration")
-    parser.add_argument("--bench", default="paper-stand")
-    parser.add_argument("--out", type=Path, help="write the outcomes as JSON")
-    parser.add_argument("--list", action="store_true", help="print every run that missed a bar")
-    given = parser.parse_args()
+    given = arguments(
+        __doc__, part={"positional": True, "choices": ["watcher", "whole", "table"]},
+        files={"positional": True, "nargs": "*", "type": Path, "help": "results of parts, for 'table'"},
+        runs=(20, "runs of each kind of mistake"), clean=(50, "runs without a mistake"),
+        kinds={"nargs": "*", "choices": KINDS, "help": "(default: all)"}, seed=1, jobs=(1, "processes"),
+        procedure="calibration", bench="paper-stand", out=(Path, "write the outcomes as JSON"),
+        list=(False, "print every run that missed a bar"),
+    )  # fmt: skip
     if given.part == "table":
         rows = [row for file in given.files for row in json.loads(file.read_text())]
         outcomes = [Outcome(**{**row, "causes": tuple(row["causes"])}) for row in rows]
@@ -361,16 +356,9 @@ def main() -> int:
         begun_s = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
             outcomes = campaign(
-                given.part,
-                given.runs,
-                given.clean,
-                given.seed,
-                given.jobs,
-                kinds=given.kinds,
-                procedure=given.procedure,
-                bench_name=given.bench,
-                folder=Path(folder),
-            )
+                given.part, given.runs, given.clean, given.seed, given.jobs, kinds=given.kinds,
+                procedure=given.procedure, bench_name=given.bench, folder=Path(folder),
+            )  # fmt: skip
         took_s = time.monotonic() - begun_s
         print(f"{len(outcomes)} runs in {took_s:.0f} s with {given.jobs} processes, seed {given.seed}")
     if given.out:

@@ -10,13 +10,14 @@ message's words, a default that nobody takes). Exit status 1 when fewer are kill
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
 import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
+
+from benchmarks.campaign import arguments
 
 ROOT = Path(__file__).resolve().parents[1]
 FIRST = "bench.calibration.linear.*__mutmut_1"
@@ -42,12 +43,13 @@ def verdicts() -> dict[str, str]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--mutants", type=int, default=30, help="how many are tried")
-    parser.add_argument("--seed", type=int, default=1, help="which are tried")
-    parser.add_argument("--least", type=float, default=0.0, help="the share that is to be killed")
-    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
-    given = parser.parse_args()
+    given = arguments(
+        __doc__,
+        mutants=(30, "how many are tried"),
+        seed=(1, "which are tried"),
+        least=(0.0, "the share that is to be killed"),
+        processes=os.cpu_count() or 1,
+    )
     children = ("--max-children", str(given.processes))
 
     mutmut("run", *children, FIRST)

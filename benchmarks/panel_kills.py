@@ -9,7 +9,6 @@ itself is killed: the panel says so, and goes on with the run.
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
 import signal
@@ -30,6 +29,7 @@ from bench.run.events import EVENTS
 from bench.run.folder import Run
 from bench.run.person import open_prompt
 from bench.run.record import is_being_written
+from benchmarks.campaign import arguments
 
 PATIENCE_S = 120.0
 
@@ -247,10 +247,7 @@ def campaign(runs: Path, kills: int, seed: int) -> Outcome:
 
 def main() -> None:
     """Carry it out and print what was found; exit status 1 where anything is wrong."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--kills", type=int, default=50)
-    options.add_argument("--seed", type=int, default=1)
-    asked = options.parse_args()
+    asked = arguments(__doc__, kills=50, seed=1)
     with tempfile.TemporaryDirectory() as folder:
         found = campaign(Path(folder), asked.kills, asked.seed)
     print(

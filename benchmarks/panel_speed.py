@@ -14,7 +14,6 @@ Four figures, each with what it is held to:
 
 from __future__ import annotations
 
-import argparse
 import json
 import multiprocessing
 import os
@@ -35,6 +34,7 @@ from bench.panel.access import Role
 from bench.run.events import EVENTS
 from bench.run.folder import Run
 from bench.run.record import Record
+from benchmarks.campaign import arguments
 from benchmarks.record_size import make_record
 from drivers.clock import utc_now
 from tests.support.browsers import find_chromium, what_is_missing
@@ -268,13 +268,12 @@ PAINT: Final = """() => {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    given = arguments(
+        __doc__,
+        events=(100, "events timed on their way to the screen"),
+        rounds=(5, "runs alone and watched, in turns"),
+        long=(100000, "events of the long run"),
     )
-    parser.add_argument("--events", type=int, default=100, help="events timed on their way to the screen")
-    parser.add_argument("--rounds", type=int, default=5, help="runs alone and watched, in turns")
-    parser.add_argument("--long", type=int, default=100_000, help="events of the long run")
-    given = parser.parse_args()
     if missing := what_is_missing():
         raise SystemExit(missing)
     from playwright.sync_api import sync_playwright

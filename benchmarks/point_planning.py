@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from bench.base.arrays import Floats
+from bench.calibration import CalibrationError
 from bench.calibration.budget.coefficients import Setup, make_budget
 from bench.calibration.budget.sources import stand_source
-from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure

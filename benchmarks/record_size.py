@@ -8,7 +8,6 @@ Each figure is the CPU time and the peak of memory of a process of its own, with
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import math
@@ -25,11 +24,13 @@ from unittest.mock import patch
 
 import numpy as np
 
-from bench.base.arrays import CHANNELS, Floats
-from bench.config.procedure.plan import Mount, Read, Turn
+from bench.base.arrays import Floats
+from bench.config.procedure.steps import Mount, Read, Turn
 from bench.readings.reading import Reading
 from bench.run.events import Mounted, Result, Turned, result_to_json
 from bench.run.samples import describe
+from benchmarks.campaign import arguments
+from drivers.interfaces import CHANNELS
 
 EVENTS: Final = 100_000
 RUNS: Final = 1_000
@@ -194,12 +195,7 @@ def _measured(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--events", type=int, default=EVENTS)
-    parser.add_argument("--runs", type=int, default=RUNS)
-    options = parser.parse_args()
+    options = arguments(__doc__, events=EVENTS, runs=RUNS)
     with tempfile.TemporaryDirectory(dir=Path()) as name:
         os.environ["XDG_CACHE_HOME"] = str(Path(name) / "cache")
         folder = Path(name) / "runs" / "long"

@@ -11,7 +11,6 @@ resume`, unless all is there; how long the process takes to end, after a second 
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
 import shutil
@@ -34,16 +33,13 @@ import scipy.stats  # noqa: F401
 from bench.cli import program
 from bench.run.events import EVENTS, RunState
 from bench.run.folder import RESULTS, Run
+from benchmarks.campaign import arguments
 
 MADE: Final = ("calibrate.json", "verify.json", "report.html")
 PATTERNS: Final = (
-    (signal.SIGINT,),
-    (signal.SIGTERM,),
-    (signal.SIGKILL,),
-    (signal.SIGINT, signal.SIGINT),
-    (signal.SIGTERM, signal.SIGINT),
-    (signal.SIGINT, signal.SIGTERM),
-)
+    (signal.SIGINT,), (signal.SIGTERM,), (signal.SIGKILL,), (signal.SIGINT, signal.SIGINT),
+    (signal.SIGTERM, signal.SIGINT), (signal.SIGINT, signal.SIGTERM),
+)  # fmt: skip
 STOPPED: Final = 2
 SECOND_S: Final = 1.0
 """After a second signal the process takes no longer to end."""
@@ -191,15 +187,9 @@ def table(outcomes: Sequence[Outcome]) -> str:
 
 def main() -> None:
     """Carry the campaign out and print its table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    given = arguments(
+        __doc__, signals=200, seed=1, plain=(False, "pages without figures, which cost most of the time")
     )
-    parser.add_argument("--signals", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument(
-        "--plain", action="store_true", help="pages without figures, which cost most of the time"
-    )
-    given = parser.parse_args()
     trials = draw(given.signals, given.seed)
     if given.plain:
         mock.patch("bench.results.plots._written", return_value='<svg viewBox="0 0 1 1"></svg>').start()

@@ -34,26 +34,16 @@ from benchmarks.campaign import ROOT, amiss
 RELATIVE: Final = 1e-9
 PROCEDURES: Final = ("paper", "quick", "calibration", "paper", "turn-12", "remount-180")
 COMMANDS: Final = {
-    "calibrate": "calibrate r",
-    "calibrate-closed-form": "calibrate r --estimator closed-form",
+    "calibrate": "calibrate r", "calibrate-closed-form": "calibrate r --estimator closed-form",
     "calibrate-robust": "calibrate r --estimator robust --join-verification",
-    "calibrate-together": "calibrate r s",
-    "verify": "verify r",
-    "verify-simple": "verify r --rule simple",
-    "diagnose": "diagnose r --out diagnosis",
-    "budget": "budget --procedure quick --trials 2200",
-    "require": "require --accuracy 3e-4 --procedure quick",
-    "plan-points": "plan-points --u all=2e-4",
-    "check": "check paper",
-    "runs": "runs",
-    "show": "show r --verify",
-    "compare": "compare r s",
-    "tumble": "tumble r",
-    "report": "report r",
+    "calibrate-together": "calibrate r s", "verify": "verify r", "verify-simple": "verify r --rule simple",
+    "diagnose": "diagnose r --out diagnosis", "budget": "budget --procedure quick --trials 2200",
+    "require": "require --accuracy 3e-4 --procedure quick", "plan-points": "plan-points --u all=2e-4",
+    "check": "check paper", "runs": "runs", "show": "show r --verify", "compare": "compare r s",
+    "tumble": "tumble r", "report": "report r",
     "coefficients": "coefficients r --as all --out coefficients",
-    "certificate": "certificate issue r --draft --out draft",
-    "learn": "learn r s --out learned.yaml",
-}
+    "certificate": "certificate issue r --draft --out draft", "learn": "learn r s --out learned.yaml",
+}  # fmt: skip
 """The commands, by the name under which their results are stored; each also writes `--json`."""
 FREE_OF_SEED: Final = {"budget", "require", "plan-points", "check"}
 IGNORED: Final = (
@@ -228,14 +218,9 @@ def _compare_text(found: Differences, where: str, one: Path, other: Path) -> Non
 
 
 COMPARED: Final[dict[str, Callable[[Differences, str, Path, Path], None]]] = {
-    ".json": _compare_json,
-    ".html": _compare_page,
-    ".xml": _compare_xml,
-    ".csv": _compare_table,
-    ".jsonl": _compare_events,
-    ".status": _compare_text,
-    ".h": _compare_text,
-}
+    ".json": _compare_json, ".html": _compare_page, ".xml": _compare_xml, ".csv": _compare_table,
+    ".jsonl": _compare_events, ".status": _compare_text, ".h": _compare_text,
+}  # fmt: skip
 """How files are compared, by suffix. Others (PDF, logs, what is printed) are held to be there alone."""
 
 

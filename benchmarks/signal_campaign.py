@@ -13,7 +13,6 @@ the chamber in standby, or the record says that it goes on conditioning. Exit st
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import random
@@ -39,6 +38,7 @@ from bench.run.assembly.instruments import simulated_instruments, world_of
 from bench.run.events import RecordError
 from bench.run.listening import SIGNALS
 from bench.run.record import read_history
+from benchmarks.campaign import arguments
 from sim.bench import SimulatedBench
 from sim.wires.faults import Fault, FaultKind
 from sim.world.clock import ScaledClock
@@ -351,13 +351,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
 
 def main() -> None:
     """Carry the campaign out and print its table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--runs", type=int, default=240)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2)
-    options = parser.parse_args()
+    options = arguments(__doc__, runs=240, seed=1, jobs=2)
     outcomes = campaign(draw(options.runs, options.seed), options.jobs)
     print(table(outcomes))
     amiss = sum(bool(outcome.violations) for outcome in outcomes)

@@ -19,8 +19,6 @@ noise, whose u is the Cramer-Rao bound. Exit status 1 where a bar is broken.
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -28,7 +26,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from scipy import stats
 
@@ -43,6 +40,7 @@ from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import VERIFICATION, Readings
 from bench.services.face import load_bench
+from benchmarks.campaign import arguments
 from tests.support.paper_bench import SETTING_U_RAD
 from tests.support.whole_truth import CASES, EVERYTHING, WANDERING, Bench, simulate_whole
 
@@ -240,14 +238,10 @@ def show_bound(parts: list[tuple[Floats, Floats, Floats, Floats]], runs: int) ->
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
-    parser.add_argument("--runs", type=int, default=2500)
-    parser.add_argument("--pairs", type=int, default=0)
-    parser.add_argument("--bound", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
+    given = arguments(
+        __doc__, cases={"nargs": "+", "choices": CASES, "default": list(CASES)}, runs=2500, pairs=0,
+        bound=0, workers=2, seed=1,
+    )  # fmt: skip
     broken: list[str] = []
     begun = time.perf_counter()
     count = given.bound or given.pairs or given.runs

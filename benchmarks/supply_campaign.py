@@ -13,22 +13,357 @@ Prints a table by kind and every violation; exit status 1 when there is one.
 
 from __future__ import annotations
 
-import argparse
+import contextlib
 import math
 import random
 import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+from unittest import mock
 
-from benchmarks.supply_trials import FedOutcome, FedStand, FedTrial, carry_out, stands
-from sim.world.power import Disturbance
+import yaml
+
+import bench.cli.measure
+import bench.run.assembly.served
+from bench.run.folder import Run
+from benchmarks.campaign import arguments
+from benchmarks.fault_campaign import ROOT, VALUE_V, command, exact
+from sim.bench import SimulatedBench
+from sim.world.power import Disturbance, Power
+
+TIMEOUT: Final = "2 s"
+READBACK_V: Final = 0.01
+"""So far may what a supply measures be from what the rail has."""
+LOOKS: Final = 8
+"""Times within a reading at which it is looked what the rails truly had."""
+
+PROCEDURE: Final = """\
+procedure: fed
+title: Four points in each of two installations
+reading: {samples: 2, nplc: 1, settle: 20 s}
+steps:
+  - installation:
+      label: 1
+      steps:
+        - turn: {angles: [10 deg, 55 deg, 100 deg, 190 deg]}
+  - wait: {for: 10 min, reason: the bench is quiet}
+  - installation:
+      label: 2
+      steps:
+        - turn: {angles: [10 deg, 55 deg, 100 deg, 190 deg]}
+"""
+READINGS: Final = 8
+
+Place = tuple[str, int, int]
+
+
+@dataclass(frozen=True)
+class Fed:
+    """A way to feed the block: a shipped bench, its supply, the outputs of its two rails, their protection."""
+
+    name: str
+    bench: str
+    supply: Mapping[str, Any]
+    outputs: tuple[str, str]
+    over_voltage_v: float | None
+
+
+WAYS: Final = (
+    Fed(
+        "E3631A on GPIB, head by hand",
+        "bench-gpib",
+        {"driver": "keysight-e3631a", "resource": "GPIB0::5::INSTR"},
+        ("P25V", "N25V"),
+        None,
+    ),
+    Fed(
+        "E36311A on LAN, head by hand",
+        "bench-lan",
+        {"driver": "keysight-e36300", "model": "E36311A", "resource": "TCPIP0::192.0.2.30::5025::SOCKET"},
+        ("2", "3"),
+        16.5,
+    ),
+    Fed(
+        "E36311A on LAN, head with a motor",
+        "bench-motorised",
+        {"driver": "keysight-e36300", "model": "E36311A", "resource": "TCPIP0::192.0.2.30::5025::SOCKET"},
+        ("2", "3"),
+        16.5,
+    ),
+)
+
+
+@dataclass(frozen=True)
+class FedStand:
+    """A bench that is exact and fed, how long an undisturbed run takes on it (s), and what it reads (V)."""
+
+    fed: Fed
+    bench: Path
+    procedure: Path
+    duration_s: float = 0.0
+    values: Mapping[Place, tuple[float, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FedTrial:
+    """One run with what befalls its supply."""
+
+    name: str
+    stand: FedStand
+    kind: str
+    disturbance: Disturbance
+
+
+@dataclass
+class FedOutcome:
+    """What became of a trial; `unseen` says that a rail left its window and came back between two looks."""
+
+    trial: FedTrial
+    completed: bool = False
+    resumed: bool = False
+    readings_before: int = 0
+    wrong_values: int = 0
+    outside_limits: int = 0
+    unseen: bool = False
+    said: str = ""
+    violations: list[str] = field(default_factory=list)
+
+
+# --- the benches ------------------------------------------------------------------------------------
+
+
+def _section(fed: Fed) -> dict[str, Any]:
+    """Return how the block is fed, as a bench file has it."""
+
+    def rail(name: str, output: str, sign: int) -> dict[str, Any]:
+        limits = sorted((-0.5 * sign, 18.0 * sign))
+        stated = {
+            "name": name, "output": output, "voltage": f"{15 * sign} V", "tolerance": "0.2 V",
+            "current": {"minimum": "20 mA", "maximum": "120 mA"},
+            "limits": {"minimum": f"{limits[0]} V", "maximum": f"{limits[1]} V", "current": "200 mA"},
+            "current_limit": "150 mA",
+        }  # fmt: skip
+        if fed.over_voltage_v is not None:
+            stated["over_voltage"] = f"{sign * fed.over_voltage_v} V"
+        return stated
+
+    section: dict[str, Any] = {
+        "rails": [rail("p15", fed.outputs[0], 1), rail("n15", fed.outputs[1], -1)],
+        "least_off": "10 s",
+        "warm_up": "10 min",
+        "when_unsafe": "off",
+    }
+    return section if fed.over_voltage_v is None else {**section, "pause": "1 s"}
+
+
+def stands(folder: Path, ways: Sequence[Fed] = WAYS) -> list[FedStand]:
+    """Make the benches, each with an undisturbed run that says how long it takes and what it reads.
+
+    Raises `RuntimeError` when that run does not finish.
+    """
+    made = []
+    for number, fed in enumerate(ways):
+        shipped = (ROOT / "config" / f"{fed.bench}.yaml").read_text(encoding="utf-8")
+        data = exact(yaml.safe_load(shipped), TIMEOUT)
+        data["instruments"]["power_supply"] = {**fed.supply, "timeout": TIMEOUT}
+        data["unit_under_test"]["supply"] = _section(fed)
+        bench_file, procedure = folder / f"fed-{number}.yaml", folder / "fed-procedure.yaml"
+        bench_file.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+        procedure.write_text(PROCEDURE, encoding="utf-8")
+        bare = FedStand(fed, bench_file, procedure)
+        with watched(None) as watch:
+            status, said, _ = command(_arguments(bare, folder, f"undisturbed-{number}"))
+        if status != 0:
+            raise RuntimeError(f"{fed.name}: the undisturbed run ended with {status}: {said}")
+        if watch.power.violations:
+            raise RuntimeError(f"{fed.name}: outside of the block's limits: {watch.power.violations}")
+        run = Run(folder / f"undisturbed-{number}")
+        made.append(replace(bare, duration_s=run.history.events[-1].bench_s, values=values_of(run)))
+    return made
+
+
+def values_of(run: Run) -> dict[Place, tuple[float, ...]]:
+    """Return what a run has read by installation, pass and point."""
+    taken = run.history.readings.values()
+    return {(one.installation, one.pass_number, one.point): one.mean for one in taken}
+
+
+def _arguments(stand: FedStand, runs: Path, name: str) -> list[str]:
+    chosen = ["--bench", str(stand.bench), "--name", name, "--runs", str(runs)]
+    return ["run", str(stand.procedure), "--dry-run", *chosen]
+
+
+class Watch:
+    """Stands for the class `SimulatedBench` in the composition root: disturbs the world, and keeps it."""
+
+    def __init__(self, disturbance: Disturbance | None) -> None:
+        self._disturbance = disturbance
+        self._made: SimulatedBench | None = None
+
+    def __call__(self, *arguments: Any, **named: Any) -> SimulatedBench:
+        self._made = SimulatedBench(*arguments, **named)
+        if self._disturbance is not None:
+            self.power.disturb(self._disturbance)
+        return self._made
+
+    @property
+    def power(self) -> Power:
+        """The supply and the rails of the world."""
+        if self._made is None:
+            raise RuntimeError("no simulated bench was made")
+        return self._made.world.power
+
+    @property
+    def now_s(self) -> float:
+        """The time of the world, s."""
+        if self._made is None:
+            raise RuntimeError("no simulated bench was made")
+        return self._made.world.clock.now_s()
+
+
+@contextlib.contextmanager
+def watched(disturbance: Disturbance | None) -> Iterator[Watch]:
+    """Within the context, a dry run has this disturbance, and is not evaluated."""
+    watch = Watch(disturbance)
+    with (
+        mock.patch.object(bench.run.assembly.served, "SimulatedBench", watch),
+        mock.patch.object(bench.cli.measure, "_results", _no_page),
+    ):
+        yield watch
+
+
+def _no_page(*_: object) -> int:
+    """Stand for the evaluation of a finished run, which is no part of a trial and takes most of its time."""
+    return 0
+
+
+# --- a trial ----------------------------------------------------------------------------------------
+
+
+def carry_out(trial: FedTrial, folder: Path) -> FedOutcome:
+    """Run, judge, and where the run stopped, resume undisturbed and judge again."""
+    outcome = FedOutcome(trial)
+    name = f"fed-trial-{trial.name}"
+    with watched(trial.disturbance) as watch:
+        status, outcome.said, _ = command(_arguments(trial.stand, folder, name))
+    run = Run(folder / name)
+    outcome.completed = status == 0
+    outcome.readings_before = len(run.history.readings)
+    _judge_world(watch, outcome)
+    _judge_readings(run, watch, outcome)
+    if status == 0:
+        judge_finished(run, outcome)
+        return outcome
+    judge_stop(status, outcome)
+    before = run.history.readings
+    with watched(None) as watch:
+        status, said, _ = command(["resume", name, "--runs", str(folder)])
+    if status != 0:
+        outcome.violations.append(f"the resumed run ended with {status}: {said.strip()}")
+        return outcome
+    outcome.resumed = True
+    resumed = Run(folder / name)
+    _judge_world(watch, outcome)
+    judge_finished(resumed, outcome)
+    _judge_visits(resumed, set(before), outcome)
+    return outcome
+
+
+def _judge_world(watch: Watch, outcome: FedOutcome) -> None:
+    """The block was never outside of its limits, by the world, and is left off."""
+    power, fed = watch.power, outcome.trial.stand.fed
+    outcome.outside_limits += len(power.violations)
+    outcome.violations += [f"outside of the block's limits: {violation}" for violation in power.violations]
+    on = [output for output in fed.outputs if power.stage(output, watch.now_s).on]
+    if on:
+        outcome.violations.append(f"left on: {', '.join(on)}")
+
+
+def _judge_readings(run: Run, watch: Watch, outcome: FedOutcome) -> None:
+    """What is recorded is what an undisturbed run reads, and the rails were as they should be all the while."""
+    stand = outcome.trial.stand
+    outcome.violations += run.history.problems
+    for event in run.history.events:
+        reading = event.reading
+        if reading is None:
+            continue
+        wrong = _differs(stand, (reading.installation, reading.pass_number, reading.point), reading.mean)
+        begun_s = reading.time_s or 0.0
+        for name, nominal_v in (("p15", 15.0), ("n15", -15.0)):
+            for look in range(LOOKS):
+                at_s = begun_s + (event.bench_s - begun_s) * look / LOOKS
+                true_v = watch.power.rail_v(name, at_s)
+                if abs(true_v - nominal_v) > 0.2 + READBACK_V:
+                    wrong = wrong or f"rail {name} had {true_v:.4g} V while {reading} was taken"
+            if abs(reading.rails[name].voltage_v - watch.power.rail_v(name, begun_s)) > 0.2 + READBACK_V:
+                wrong = wrong or f"rail {name} is recorded with {reading.rails[name]} V"
+        if wrong:
+            outcome.wrong_values += 1
+            outcome.violations.append(f"wrong value: {wrong}")
+    if outcome.completed:
+        end_s = run.history.events[-1].bench_s
+        first_s = next(e.bench_s for e in run.history.events if e.type == "warmed_up")
+        lost = [at_s for at_s, alive in watch.power.switchings if not alive and first_s < at_s < end_s - 5.0]
+        outcome.unseen = bool(lost)
+
+
+def _differs(stand: FedStand, place: Place, mean: Sequence[float]) -> str:
+    """Say how a reading differs from that of the undisturbed run, empty where it does not."""
+    expected = stand.values[place]
+    if all(abs(one - other) <= VALUE_V for one, other in zip(mean, expected, strict=True)):
+        return ""
+    return f"{list(mean)} V on record at {place}, {list(expected)} V undisturbed"
+
+
+def judge_finished(run: Run, outcome: FedOutcome) -> None:
+    """A finished run has the readings planned, and each agrees with the undisturbed run's."""
+    if run.history.state != "finished":
+        outcome.violations.append(f"the run is {run.history.state}, not finished")
+    found = values_of(run)
+    if set(found) != set(outcome.trial.stand.values) or len(found) != READINGS:
+        outcome.violations.append(f"not the readings planned: {sorted(found)}")
+        return
+    for place, mean in found.items():
+        if wrong := _differs(outcome.trial.stand, place, mean):
+            outcome.wrong_values += 1
+            outcome.violations.append(f"wrong value: {wrong}")
+
+
+def judge_stop(status: Any, outcome: FedOutcome) -> None:
+    """A run that stopped names the supply and the rail or output, in a line of its own, and no traceback."""
+    said = outcome.said
+    if status != 2:
+        outcome.violations.append(f"exit status {status}: {said.strip()}")
+    if "Traceback" in said or "unexpected" in said:
+        outcome.violations.append(f"not one of our errors: {said.strip()}")
+    named = (
+        "rail p15", "rail n15", "its output", "did not answer", "no answer", "not set any more", "is off",
+    )  # fmt: skip
+    if "power_supply:" not in said or not any(words in said for words in named):
+        outcome.violations.append(f"the cause is not named: {said.strip()}")
+
+
+def _judge_visits(run: Run, before: set[int], outcome: FedOutcome) -> None:
+    """What is read on a mounting after the block was off is another visit than what was read before."""
+    visits: dict[str, set[int]] = {}
+    later: dict[str, set[int]] = {}
+    for step, reading in run.history.readings.items():
+        (visits if step in before else later).setdefault(reading.installation, set()).add(reading.series)
+    for installation in visits.keys() & later.keys():
+        if visits[installation] & later[installation]:
+            outcome.violations.append(f"one visit to installation {installation} before and after it was off")
+
+
+# --- the campaign ----------------------------------------------------------------------------------------
+
 
 SHORTEST_S: Final = 5.0
 """A shorter drop may come and go within a reading, between the looks before it and after it."""
@@ -132,12 +467,9 @@ def violations(outcomes: Sequence[FedOutcome]) -> list[str]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=350)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--stops", action="store_true", help="also print why runs stopped")
-    given = parser.parse_args()
+    given = arguments(
+        __doc__, runs=350, seed=1, jobs=(1, "processes"), stops=(False, "also print why runs stopped")
+    )
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         trials = draw(given.runs, given.seed, stands(folder))

@@ -10,17 +10,15 @@ simulation shares no geometry and no term with the model. Exit status 1 when a p
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads only get in each other's way
 import numpy as np
 
 from bench.base.arrays import Floats
 from bench.calibration.tumble import TumbleView, tumble_view
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from benchmarks.campaign import arguments
 from tests.support.paper_bench import STAND_U
 from tests.support.tumble_bench import Terms, truth, tumble
 
@@ -41,11 +39,7 @@ def z_of(view: TumbleView, terms: Terms) -> Floats:
 
 def main() -> int:
     """Run it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--runs", type=int, default=300)
-    parser.add_argument("--noise", type=float, default=1e-4)
-    parser.add_argument("--seed", type=int, default=1)
-    asked = parser.parse_args()
+    asked = arguments(__doc__, runs=300, noise=0.0001, seed=1)
     broken = 0
     width = 3 / np.sqrt(2 * asked.runs)
     for points in POINTS:

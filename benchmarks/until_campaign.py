@@ -18,16 +18,12 @@ begins later than that; those that began are counted, so that what a run gives h
 
 from __future__ import annotations
 
-import argparse
-import os
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from bench.calibration import CalibrationError
@@ -42,6 +38,7 @@ from bench.planning.until.design import Task, Visits
 from bench.planning.until.pool import Point, reached_by
 from bench.readings.table import Readings, make_readings
 from bench.services.until import chooser_of
+from benchmarks.campaign import arguments
 from tests.support.paper_bench import U0, K, specific_force
 
 NOISES = (0.5, 0.7, 1.0, 1.2)
@@ -247,16 +244,9 @@ def row(name: str, ended: list[Outcome], fixed_s: float, once_s: float, settings
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    asked = arguments(
+        __doc__, runs=2500, seed=1, workers=1, minutes=float("inf"), goal=["all=5e-5"], noise=NOISES
     )
-    parser.add_argument("--runs", type=int, default=2500)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--minutes", type=float, default=float("inf"))
-    parser.add_argument("--goal", nargs="+", default=["all=5e-5"])
-    parser.add_argument("--noise", nargs="+", type=float, default=NOISES)
-    asked = parser.parse_args()
     last_start = time.time() + 60 * asked.minutes
     chunks = [range(first, min(first + CHUNK, asked.runs)) for first in range(0, asked.runs, CHUNK)]
     run = partial(part, asked.goal, asked.noise, asked.seed, last_start)

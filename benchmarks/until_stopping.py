@@ -15,7 +15,6 @@ the noise was known: what stopping does, and what estimating the noise from few 
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +25,7 @@ from bench.calibration.result import Noise
 from bench.planning.until.choice import Chooser, Standing
 from bench.planning.until.design import Visits
 from bench.planning.until.pool import Point
+from benchmarks.campaign import arguments
 from benchmarks.until_campaign import (
     MOUNT_RAD,
     NOISES,
@@ -143,15 +143,9 @@ def row(name: str, parts: list[Stopped]) -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    asked = arguments(
+        __doc__, runs=(2500, "for each size of the noise"), seed=1, step=3, goal=["all=5e-5"], noise=NOISES
     )
-    parser.add_argument("--runs", type=int, default=2500, help="for each size of the noise")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--step", type=int, default=3)
-    parser.add_argument("--goal", nargs="+", default=["all=5e-5"])
-    parser.add_argument("--noise", nargs="+", type=float, default=NOISES)
-    asked = parser.parse_args()
     chooser = chooser_for(asked.goal)
     points, first = order_of(chooser)
     print(

@@ -22,7 +22,6 @@ status 1 when a promise is broken.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Iterator
@@ -39,7 +38,8 @@ from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings
 from bench.results.verification import verdict_part
-from benchmarks.blind_trial.geometry import ARCSEC, specific_force
+from benchmarks.blind_trial.stand import ARCSEC, specific_force
+from benchmarks.campaign import arguments
 
 Floats = NDArray[np.float64]
 
@@ -48,12 +48,9 @@ K: Final = np.array(
 )
 U0: Final = np.array([0.071469, -0.196485, -0.411789])
 STAND_U: Final = {
-    "axis_tilt": 5 / 3 * ARCSEC,
-    "zero_offset": 5 / 3 * ARCSEC,
-    "mounting_error": 30 * ARCSEC,
-    "setting_error": 10 / 3 * ARCSEC,
-    "voltmeter_error": 1e-4,
-}
+    "axis_tilt": 5 / 3 * ARCSEC, "zero_offset": 5 / 3 * ARCSEC, "mounting_error": 30 * ARCSEC,
+    "setting_error": 10 / 3 * ARCSEC, "voltmeter_error": 1e-4,
+}  # fmt: skip
 LIMIT_G: Final = 3e-4
 MODEL: Final = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 TURN: Final = np.radians(np.arange(9) * 45.0)
@@ -192,16 +189,12 @@ def judge_blocks(blocks: int, seed: int, noise: float, *, alike: bool) -> list[s
     return within_chance(stated, wrong)
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> int:
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--runs", type=int, default=4000)
-    parser.add_argument("--joint", type=int, default=1500, help="verdicts on four points together")
-    parser.add_argument("--blocks", type=int, help="blocks of a stated population, in place of all else")
-    parser.add_argument("--apart", action="store_true", help="an error for each point of a block")
-    parser.add_argument("--noise", type=float, default=1e-4)
-    parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args(arguments)
+    given = arguments(__doc__, argv, runs=4000, joint=(1500, "verdicts on four points together"),
+        blocks=(int, "blocks of a stated population, in place of all else"),
+        apart=(False, "an error for each point of a block"), noise=0.0001, seed=1,
+    )  # fmt: skip
     begun = time.perf_counter()
     if given.blocks:
         broken = judge_blocks(given.blocks, given.seed, given.noise, alike=not given.apart)

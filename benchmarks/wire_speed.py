@@ -9,7 +9,6 @@ status 1 when the promise is broken.
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import socket
 import statistics
@@ -18,6 +17,7 @@ import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 
+from benchmarks.campaign import arguments
 from drivers.wire.visa import MessageSession
 
 COMMAND, QUERY = "VOLT:NPLC 10", "VOLT:NPLC?"
@@ -74,10 +74,7 @@ def time_of(exchange: Callable[[], None], count: int) -> float:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--exchanges", type=int, default=2000, help="in one round")
-    parser.add_argument("--rounds", type=int, default=7)
-    given = parser.parse_args()
+    given = arguments(__doc__, exchanges=(2000, "in one round"), rounds=7)
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
     server = context.Process(target=serve, args=(there,))

@@ -21,7 +21,7 @@ from bench.diagnosis.show import Simulation, show
 from bench.diagnosis.threshold import channel_steps, size_steps
 from bench.model import CATALOGUE, Effect, ForwardModel, Installation
 from benchmarks.blind_trial.cases import Case
-from benchmarks.blind_trial.own_effects import FORMULAS
+from benchmarks.blind_trial.outside import FORMULAS
 
 LOCAL_GRAVITY = 9.81
 """m/s²; the coefficients are per local g, whatever it is."""

@@ -11,22 +11,32 @@ from typing import Final
 import numpy as np
 
 from bench.readings.table import JoinedPart, Readings, make_readings, together
-from benchmarks.blind_trial.designs import REFERENCE_TEMPERATURE_C, Run, Weather, make_run
 from benchmarks.blind_trial.effects import (
     BLOCK,
     CATALOGUE,
     CLASS_OF,
     HIDDEN,
-    OUTSIDE,
     SEEN_IN_VERIFICATION,
     STAND,
 )
 from benchmarks.blind_trial.free_positions import FREE, free_tables
-from benchmarks.blind_trial.geometry import Floats
-from benchmarks.blind_trial.known import HAND_SET, OTHER_PSI, REPAIRED, common_volts, hand_set, stated_psi_deg
-from benchmarks.blind_trial.mistakes import MISTAKES, Mistake
-from benchmarks.blind_trial.noises import COARSE, draw
-from benchmarks.blind_trial.own_effects import OWN
+from benchmarks.blind_trial.mistakes import MISTAKES, SLIPS, Mistake
+from benchmarks.blind_trial.outside import (
+    HAND_SET,
+    OTHER_PSI,
+    OUTSIDE,
+    OWN,
+    REPAIRED,
+    SENSITIVE,
+    SUPPLIED,
+    common_volts,
+    courses,
+    drifting,
+    hand_set,
+    recorded,
+    sensitive,
+    stated_psi_deg,
+)
 from benchmarks.blind_trial.signals import (
     SETTING_SIGMA,
     STAND_SIGMA,
@@ -36,9 +46,55 @@ from benchmarks.blind_trial.signals import (
     signature,
     visibility,
 )
-from benchmarks.blind_trial.slips import SLIPS
-from benchmarks.blind_trial.supply import SENSITIVE, SUPPLIED, courses, drifting, recorded, sensitive
-from benchmarks.blind_trial.truth import CHANNELS, Draw, Truth
+from benchmarks.blind_trial.stand import (
+    CHANNELS,
+    REFERENCE_TEMPERATURE_C,
+    Draw,
+    Floats,
+    Run,
+    Truth,
+    Weather,
+    make_run,
+)
+
+# --- noise as benches have it ----------------------------------------------------------------------------
+
+
+BY_CHANNEL: Final = np.array([9.0, 15.0, 33.0]) / 15.0
+TAIL_DOF: Final = 4
+SLOW_PART: Final = 0.5
+COARSE: Final = 2.0
+"""Last digit of the signals, in standard deviations of the noise."""
+
+NOISES: Final = ("equal", "by channel", "t4", "1/f", "coarse")
+
+
+def noise_of(rng: np.random.Generator, kind: str, n: int) -> Floats:
+    """Return noise (n, 3) in units of the stated size: by channel 9/15, 15/15 and 33/15 of it; a t of 4 dof."""
+    if kind == "t4":  # of the stated standard deviation
+        return np.asarray(rng.standard_t(TAIL_DOF, (n, 3)) * np.sqrt((TAIL_DOF - 2) / TAIL_DOF))
+    white = rng.normal(size=(n, 3))
+    if kind == "by channel":
+        return np.asarray(white * BY_CHANNEL)
+    if kind == "1/f":
+        return white + SLOW_PART * _slow(rng, n)
+    return white
+
+
+def _slow(rng: np.random.Generator, n: int) -> Floats:
+    """1/f noise (n, 3) over the readings, rms 1 in each channel, from a course eight times as long."""
+    long = 8 * n
+    frequency = np.fft.rfftfreq(long)
+    size = np.zeros(len(frequency))
+    size[1:] = 1 / np.sqrt(frequency[1:])
+    wave = rng.normal(size=(len(frequency), 3)) + 1j * rng.normal(size=(len(frequency), 3))
+    course = np.fft.irfft(size[:, None] * wave, long, axis=0)[:n]
+    course -= course.mean(axis=0)
+    return np.asarray(course / np.sqrt(np.mean(course**2, axis=0)))
+
+
+# --- cases -----------------------------------------------------------------------------------------------
+
 
 READING_NOISE_V: Final = 15e-6
 MOST_TIMES_PLAUSIBLE: Final = 15.0
@@ -357,25 +413,18 @@ def _measure(
     n = len(run.mount)
     stand = rng.normal(size=(int(run.mount.max()) + 1, 3)) * STAND_SIGMA
     setting = rng.normal(0, SETTING_SIGMA * row.noise_factor, n)
-    noise = draw(rng, row.noise, n) * row.noise_v * row.noise_factor
+    noise = noise_of(rng, row.noise, n) * row.noise_v * row.noise_factor
     signal = signals(run, truths, stand, setting, None if mistake is None else mistake.true_angle) + noise
     labels = run.labels
     if mistake is not None:
         signal = mistake.edit(signal)
         labels = labels if mistake.labels is None else mistake.labels
     table = make_readings(
-        labels.tolist(),
-        run.pass_number.tolist(),
-        run.point.tolist(),
-        run.angle,
-        _rounded(signal, row),
-        source="blind trial",
-        target_rad=run.angle,
-        series=run.series.tolist(),
-        direction=run.direction.tolist(),
-        time_s=run.time_s,
+        labels.tolist(), run.pass_number.tolist(), run.point.tolist(), run.angle, _rounded(signal, row),
+        source="blind trial", target_rad=run.angle, series=run.series.tolist(),
+        direction=run.direction.tolist(), time_s=run.time_s,
         temperature_c=np.round(REFERENCE_TEMPERATURE_C + run.temperature(), 3),
-    )
+    )  # fmt: skip
     extra = {"scan_order": run.scan}
     if not run.measured.all():
         extra["reference_v"] = np.array(

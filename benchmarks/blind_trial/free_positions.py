@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from bench.readings.table import Readings, make_readings
-from benchmarks.blind_trial.geometry import Floats
+from benchmarks.blind_trial.stand import Floats
 
 DESIGN: Final = "free"
 POSITIONS: Final = 60
@@ -112,16 +112,10 @@ def _outlier(rng: np.random.Generator, of: Positions) -> FreeTruth:
 
 
 FREE: Final[dict[str, Callable[[np.random.Generator, Positions], FreeTruth] | None]] = {
-    "free:null": None,
-    "free:null records": None,
-    "free:drift": _drift,
-    "free:warm_up": _warm_up,
-    "free:square": _square,
-    "free:cube": _cube,
-    "free:temperature": _temperature,
-    "free:zeros": _zeros,
+    "free:null": None, "free:null records": None, "free:drift": _drift, "free:warm_up": _warm_up,
+    "free:square": _square, "free:cube": _cube, "free:temperature": _temperature, "free:zeros": _zeros,
     "free:outlier": _outlier,
-}
+}  # fmt: skip
 SEVERAL: Final = ("free:zeros", "free:null records")
 """Of several records."""
 

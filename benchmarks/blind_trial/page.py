@@ -13,7 +13,8 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.blind_trial.cases import Row
-from benchmarks.blind_trial.score import NOT_SHRUNK, Outcome, Share
+from benchmarks.blind_trial.score import NOT_SHRUNK, Outcome
+from benchmarks.campaign import Share
 
 _DOCS: Final = Path(__file__).parents[2] / "docs"
 PAGE: Final = _DOCS / "diagnosis.md"

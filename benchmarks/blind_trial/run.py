@@ -14,26 +14,35 @@ counts and its Wilson 95 % interval. Exit status 1 when a diagnosis failed with 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
 from benchmarks.blind_trial.adapter import diagnose_case
-from benchmarks.blind_trial.cases import Row, make_case, seal
+from benchmarks.blind_trial.cases import NOISES, Row, make_case, seal
 from benchmarks.blind_trial.free_positions import DESIGN, NOISE_G
-from benchmarks.blind_trial.kept import Kept
-from benchmarks.blind_trial.known import COMMON_VOLTS, HAND_SET, OTHER_PSI, REPAIRED
-from benchmarks.blind_trial.mistakes import MISTAKES
-from benchmarks.blind_trial.noises import NOISES
+from benchmarks.blind_trial.mistakes import MISTAKES, SLIPS
+from benchmarks.blind_trial.outside import COMMON_VOLTS, HAND_SET, OTHER_PSI, REPAIRED, SUPPLIED
 from benchmarks.blind_trial.page import stored, sums, tables, write
-from benchmarks.blind_trial.score import Diagnose, Marks, Outcome, Share, Task, judge, run_trial, tally
-from benchmarks.blind_trial.slips import SLIPS
-from benchmarks.blind_trial.supply import SUPPLIED
-from benchmarks.blind_trial.ties import can_tell_by_signature, can_tell_by_table, nearest_rival
+from benchmarks.blind_trial.score import (
+    Diagnose,
+    Marks,
+    Outcome,
+    Task,
+    can_tell_by_signature,
+    can_tell_by_table,
+    judge,
+    nearest_rival,
+    run_trial,
+    tally,
+)
+from benchmarks.campaign import ROOT, Kept, Share, arguments, refuse
 
 MANY_RHO: Final = 2.3
 """Of each of twenty runs; together 10.3."""
@@ -46,12 +55,9 @@ LARGE_RHO: Final = 600.0
 """A slip of about 10 arcmin out of the plane of rotation, of 1 deg in it."""
 
 KNOWN_ROWS: Final = (
-    Row(OTHER_PSI),
-    Row(COMMON_VOLTS, rho=12),
-    Row(COMMON_VOLTS, "reordered", 12),
-    Row(HAND_SET, "six"),
+    Row(OTHER_PSI), Row(COMMON_VOLTS, rho=12), Row(COMMON_VOLTS, "reordered", 12), Row(HAND_SET, "six"),
     Row(REPAIRED, rho=20),
-)
+)  # fmt: skip
 FREE_ROWS: Final = (
     *(Row(kind, DESIGN, noise_v=NOISE_G) for kind in ("free:null", "free:null records", "free:outlier")),
     *(
@@ -119,32 +125,44 @@ SHORT: Final[tuple[Row, ...]] = (
 )
 
 
+_CODE: Final = ("bench", "drivers", "benchmarks/blind_trial", "benchmarks/campaign.py")
+_LIBRARIES: Final = ("numpy", "scipy")
+
+
+def code_sha256(root: Path = ROOT) -> str:
+    """Return a SHA-256 of what a diagnosis is made by: program, its data files, this trial, libraries."""
+    whole = hashlib.sha256("".join(f"{name} {version(name)}\0" for name in _LIBRARIES).encode())
+    for folder in _CODE:
+        for path in sorted([root / folder, *(root / folder).rglob("*")]):
+            if path.is_file() and path.suffix in {".py", ".yaml"}:
+                whole.update(f"{path.relative_to(root)}\0".encode())
+                whole.update(hashlib.sha256(path.read_bytes()).digest())
+    return whole.hexdigest()
+
+
+def kept_in(path: Path, seed: int, code: str | None = None) -> Kept:
+    """Open a file of diagnoses, of a seed and of what they are made by."""
+    return Kept(path, {"seed": seed, "program": code or code_sha256()})
+
+
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.blind_trial", description="The blind trial of bench diagnose."
-    )
-    parser.add_argument("--short", action="store_true", help="a few minutes instead of the whole trial")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--rows", type=int, metavar="N", help="so many cases in each row")
-    parser.add_argument("--share", type=float, default=1.0, metavar="S", help="this part of each row's cases")
-    parser.add_argument(
-        "--only", metavar="KIND", help="null, single, own, pair, outside, hidden, mistake, many, ..."
-    )
-    parser.add_argument("--ties", choices=["signature", "table"], default="signature")
-    parser.add_argument("--json", metavar="FILE", help="score and outcomes; - for standard output")
-    parser.add_argument(
-        "--page", action="store_true", help="write docs/blind-trial.json and docs/diagnosis.md"
-    )
-    parser.add_argument(
-        "--keep", type=Path, metavar="FILE", help="keep diagnoses here; called again, go on where it stopped"
-    )
-    parser.add_argument("--ledger", type=Path, metavar="FILE", help="append the seals of the cases here")
-    given = parser.parse_args(argv)
+    given = arguments(
+        __doc__, argv,
+        short=(False, "a few minutes instead of the whole trial"),
+        seed=1, workers=2,
+        rows={"type": int, "metavar": "N", "help": "so many cases in each row"},
+        share=(1.0, "this part of each row's cases"),
+        only={"metavar": "KIND", "help": "null, single, own, pair, outside, hidden, mistake, many, ..."},
+        ties={"choices": ["signature", "table"], "default": "signature"},
+        json={"metavar": "FILE", "help": "score and outcomes; - for standard output"},
+        page=(False, "write docs/blind-trial.json and docs/diagnosis.md"),
+        keep=(Path, "keep diagnoses here; called again, go on where it stopped"),
+        ledger=(Path, "append the seals of the cases here"),
+    )  # fmt: skip
     if not 0.0 < given.share <= 1.0:
-        parser.error("--share is a part of the cases, above 0 and at most 1")
+        refuse("--share is a part of the cases, above 0 and at most 1")
     if given.page and (given.short or given.rows or given.only):
-        parser.error("--page is for the whole trial: leave --short, --rows and --only out")
+        refuse("--page is for the whole trial: leave --short, --rows and --only out")
     return given
 
 
@@ -168,12 +186,9 @@ def _made(given: argparse.Namespace, seconds: int) -> dict[str, object]:
     share = "" if given.share == 1.0 else f" --share {given.share:g}"
     command = f'make blind-trial TRIAL="--page --seed {given.seed}{share}"'
     return {
-        "command": command,
-        "seed": given.seed,
-        "share": given.share,
-        "seconds": seconds,
+        "command": command, "seed": given.seed, "share": given.share, "seconds": seconds,
         "on": f" on {given.workers} cores",
-    }
+    }  # fmt: skip
 
 
 def _open_answers(outcomes: Sequence[Outcome], ties: str) -> list[tuple[Row, Marks]]:
@@ -215,13 +230,16 @@ def _as_json(outcomes: Sequence[Outcome], shares: dict[str, dict[str, Share]], s
 
 
 def _diagnosed(tasks: Sequence[Task], diagnose: Diagnose, workers: int, kept: Kept | None) -> list[Outcome]:
-    """Return the outcomes of tasks in their order, what was kept as it is."""
-    done = {task: outcome for task in tasks if kept is not None and (outcome := kept.outcome(task))}
+    """Return the outcomes of tasks in their order, what was kept as it is; what failed is tried again."""
+    done: dict[Task, Outcome] = {}
+    for task in tasks if kept is not None else ():
+        if kept is not None and (found := kept.get(task.row.key, task.index)):
+            done[task] = Outcome(task, *found)
     todo = [task for task in tasks if task not in done]
     for number, outcome in enumerate(run_trial(todo, diagnose, workers), start=len(done) + 1):
         done[outcome.task] = outcome
-        if kept is not None:
-            kept.keep(outcome)
+        if kept is not None and not outcome.error:
+            kept.keep([outcome.seal, outcome.diagnosis], outcome.task.row.key, outcome.task.index)
         if number % 200 == 0:
             print(f"{number}/{len(tasks)}", file=sys.stderr, flush=True)
     return [done[task] for task in tasks]
@@ -234,7 +252,7 @@ def main(argv: Sequence[str] | None = None, diagnose: Diagnose = diagnose_case) 
     tasks = [Task(given.seed, row, index) for row in rows for index in range(row.count)]
     start = time.perf_counter()
     try:
-        kept = None if given.keep is None else Kept(given.keep, given.seed)
+        kept = None if given.keep is None else kept_in(given.keep, given.seed)
     except ValueError as error:
         raise SystemExit(str(error)) from error
     outcomes = _diagnosed(tasks, diagnose, given.workers, kept)

@@ -2,27 +2,217 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Any, Final
 
 import numpy as np
-from scipy.stats import binomtest, chi2
+from scipy.stats import chi2
 
-from benchmarks.blind_trial.cases import Answer, Case, Row, make_case, seal
-from benchmarks.blind_trial.closing import true_closing
-from benchmarks.blind_trial.designs import REFERENCE_TEMPERATURE_C
-from benchmarks.blind_trial.effects import SEEN_IN_VERIFICATION
+from bench.base.arrays import Mask
+from benchmarks.blind_trial.cases import MOST_TIMES_PLAUSIBLE, Answer, Case, Row, hidden_in, make_case, seal
+from benchmarks.blind_trial.effects import CATALOGUE, SEEN_IN_VERIFICATION
 from benchmarks.blind_trial.free_positions import FREE, judge_free
-from benchmarks.blind_trial.geometry import Floats
-from benchmarks.blind_trial.known import KNOWN, judge_known
-from benchmarks.blind_trial.outside_effects import WITHOUT_MEAN
-from benchmarks.blind_trial.reference import MODEL_COUNTS_FROM_C, coefficients_at
-from benchmarks.blind_trial.slips import SLIPS
-from benchmarks.blind_trial.supply import SUPPLIED, judge_supply
-from benchmarks.blind_trial.ties import CanTell, can_tell_by_table
+from benchmarks.blind_trial.mistakes import SLIPS
+from benchmarks.blind_trial.outside import KNOWN, SUPPLIED, WITHOUT_MEAN, judge_known, judge_supply
+from benchmarks.blind_trial.signals import (
+    SETTING_SIGMA,
+    U0,
+    K,
+    Visibility,
+    explained,
+    signals,
+    signature,
+    visibility,
+)
+from benchmarks.blind_trial.stand import REFERENCE_TEMPERATURE_C, Floats, Weather, make_run
+from benchmarks.campaign import Share, spread
+
+# --- how far the true form of a hidden effect, its size fitted, closes the gap on readings held out ------
+
+
+LEAST_WEIGHT: Final = 1e-12
+"""Weight of the prior of what is free, against unit noise."""
+
+
+def true_closing(case: Case, answer: Answer) -> float | None:
+    """Return the part of the gap that the true form closes, each pass held out; None without a gap to close.
+
+    The fit has coefficients and stand errors as all analyses have, and knows noise and signature.
+    """
+    row = answer.row
+    rows, whitener, top, priors = explained(
+        row.design, row.noise_v * row.noise_factor, SETTING_SIGMA * row.noise_factor
+    )
+    run = make_run(row.design)
+
+    def white(volts: Floats) -> Floats:
+        return np.asarray(np.einsum("nij,nj->ni", whitener, volts[rows]).ravel())
+
+    left, form = white(case.readings.signal - signals(run)), white(answer.effects[0].change)
+    passes = np.repeat(run.pass_number[rows], 3)
+    with_form = np.column_stack([top, form])
+    prior = np.column_stack([priors, np.zeros(len(priors))])
+    folds = [passes == number for number in np.unique(passes)]
+    before = sum(_predicted(left, top, priors, held) for held in folds) / len(left)
+    after = sum(_predicted(left, with_form, prior, held) for held in folds) / len(left)
+    return (before - after) / (before - 1.0) if before > 1.0 else None
+
+
+def _predicted(left: Floats, columns: Floats, priors: Floats, held: Mask) -> float:
+    """Return the chi-square of rows held out, with the covariance of what was fitted to all others."""
+    rest = np.vstack([columns[~held], priors])
+    target = np.concatenate([left[~held], np.zeros(len(priors))])
+    scale = np.linalg.norm(rest, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    normal = (rest / scale).T @ (rest / scale) + LEAST_WEIGHT * np.eye(len(scale))
+    covariance = np.linalg.inv(normal) / np.outer(scale, scale)
+    error = left[held] - columns[held] @ (covariance @ (rest.T @ target))
+    spread = np.eye(len(error)) + columns[held] @ covariance @ columns[held].T
+    return float(error @ np.linalg.solve(spread, error))
+
+
+# --- the true coefficients of a case at the temperature from which a model counts ------------------------
+
+
+MODEL_COUNTS_FROM_C: Final = 20.0
+"""Where an effect of temperature of the application is nothing."""
+
+
+def coefficients_at(temperature_c: float, seed: int, row: Row, index: int) -> Floats:
+    """Return K row by row and U0, shape (12,), V/g and V, as they are at a temperature.
+
+    The trial's effects of temperature are nothing at `REFERENCE_TEMPERATURE_C`. What they do at another one, from
+    which a model counts, is a part of its coefficients.
+    """
+    run, truths = hidden_in(seed, row, index)
+    weather = replace(run.weather, start=run.weather.start + temperature_c - REFERENCE_TEMPERATURE_C)
+    there = run.with_weather(weather)
+    force = np.resize(np.concatenate([np.eye(3), -np.eye(3)]), (len(run.time_s), 3))
+    moved = np.zeros_like(force)
+    for truth in truths:
+        if truth.stage == "block" and truth.act is not None:
+            moved += truth.act(there, force, truth.amplitude) - truth.act(run, force, truth.amplitude)
+    columns = np.column_stack([force, np.ones(len(force))])
+    added = np.linalg.lstsq(columns, moved, rcond=None)[0].T * np.diag(K)[:, None]
+    return np.concatenate([(K + added[:, :3]).ravel(), U0 + added[:, 3]])
+
+
+# --- can the data tell an effect from every other? -------------------------------------------------------
+
+
+CanTell = Callable[[Case, Answer], bool]
+
+_DIRECTION_TIES: Final = frozenset({"backlash", "zero_offset"})
+_SHAPE_TIES: Final = frozenset({"quadratic_nonlinearity", "scale_asymmetry", "odd_quadratic_nonlinearity"})
+_TIED: Final = frozenset(
+    {
+        "cross_quadratic",
+        "cubic_nonlinearity",
+        "head_ellipticity",
+        "axis_wobble",
+        "cross_coupling",
+        "mounting_error",
+        "mounting_offset",
+        "hysteresis",
+        "turn_on_shift",
+        "bracket_tilt",
+        "axis_tilt",
+        "warm_up",
+        "bias_drift",
+        "thermal_bias",
+        "voltmeter_nonlinearity",
+        "voltmeter_drift",
+        "foundation_tilt",
+        *_DIRECTION_TIES,
+        *_SHAPE_TIES,
+    }
+)
+"""Effects with a rival of cosine 0.95 or more in the paper's design (`effects.md`, table of ties)."""
+
+_BROKEN: Final[dict[str, frozenset[str]]] = {
+    "both": _DIRECTION_TIES | {"hysteresis"},
+    "turn-12": _SHAPE_TIES | {"cubic_nonlinearity"},
+    "return": frozenset({"warm_up", "turn_on_shift", "bracket_tilt"}),
+    "remount-180": frozenset({"mounting_error", "mounting_offset", "bracket_tilt", "axis_tilt"}),
+    "reordered": _DIRECTION_TIES
+    | {"hysteresis", "mounting_error", "mounting_offset", "bracket_tilt", "axis_tilt", "voltmeter_drift"},
+}
+"""What a design tells all the same."""
+
+PLAINER_THAN: Final[dict[str, frozenset[str]]] = {
+    "head_eccentricity": frozenset({"head_graduation"}),
+    "head_ellipticity": frozenset({"head_graduation"}),
+    "quadratic_nonlinearity": frozenset({"cross_quadratic"}),
+}
+"""Larger families of the same subsystem that contain an effect: the plainer one is to be named first."""
+
+LEFT_TO_TELL: Final = 4.0
+"""In units of noise: what the nearest rival must leave, so that the nearer of the two is the true one in 98 %."""
+DRAWS: Final = 48
+
+
+def can_tell_by_table(case: Case, answer: Answer) -> bool:
+    """Say by the static table of ties whether the effect of a case has no rival in its design."""
+    tied = _TIED - _BROKEN.get(case.design, frozenset())
+    return not tied.intersection(answer.names)
+
+
+def can_tell_by_signature(case: Case, answer: Answer) -> bool:
+    """Say whether every other effect of the trial's vocabulary leaves `LEFT_TO_TELL` of the hidden one."""
+    return all(
+        effect.rho * np.sqrt(max(0.0, 1 - nearest_rival(answer, which) ** 2)) >= LEFT_TO_TELL
+        for which, effect in enumerate(answer.effects)
+    )
+
+
+def nearest_rival(answer: Answer, which: int = 0) -> float:
+    """Return the largest cosine between what is left of a hidden effect and any other effect's, 0 to 1.
+
+    The other effect may have any weights of its channels and mountings, but one shape at a time; effects
+    that would have to be implausibly large are no rivals, nor are larger families that contain the effect.
+    """
+    row, effect = answer.row, answer.effects[which]
+    seen = _seen(row.design, row.noise_v * row.noise_factor, row.noise_factor)
+    left = seen.left(effect.change)
+    left /= np.linalg.norm(left)
+    without = {effect.name, *PLAINER_THAN.get(effect.name, ())}
+    cosines = [
+        float(np.linalg.norm(basis.T @ left))
+        for name in CATALOGUE
+        if name not in without
+        for basis in _subspaces(name, row.design, row.noise_v * row.noise_factor, row.noise_factor)
+    ]
+    return min(1.0, max(cosines))
+
+
+def _seen(design: str, noise_v: float, factor: float) -> Visibility:
+    return visibility(design, noise_v, SETTING_SIGMA * factor)
+
+
+@cache
+def _subspaces(name: str, design: str, noise_v: float, factor: float) -> tuple[Floats, ...]:
+    """Orthonormal bases of what is left of an effect, one for each of its shapes, in a typical weather."""
+    rng = np.random.default_rng(0)
+    run = make_run(design).with_weather(Weather(phase=1.0))
+    seen = _seen(design, noise_v, factor)
+    by_shape: dict[str, list[Floats]] = {}
+    for _ in range(DRAWS):
+        truth = CATALOGUE[name](rng, run)
+        left = seen.left(signature(run, truth))
+        size = float(np.linalg.norm(left))
+        if size * MOST_TIMES_PLAUSIBLE >= LEFT_TO_TELL:
+            by_shape.setdefault(truth.shape, []).append(left / size)
+    bases = []
+    for members in by_shape.values():
+        u, s, _ = np.linalg.svd(np.array(members).T, full_matrices=False)
+        bases.append(u[:, s > 1e-3 * s[0]])
+    return tuple(bases)
+
+
+# --- the score -------------------------------------------------------------------------------------------
+
 
 Diagnosis = dict[str, Any]
 Diagnose = Callable[[Case], Diagnosis]
@@ -51,41 +241,13 @@ class Outcome:
     error: str = ""
 
 
-@dataclass(frozen=True)
-class Share:
-    """So many of so many, with the Wilson 95 % interval."""
-
-    successes: int
-    of: int
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Lower and upper end; 0 and 1 where there was nothing to count."""
-        if not self.of:
-            return 0.0, 1.0
-        ci = binomtest(self.successes, self.of).proportion_ci(confidence_level=0.95, method="wilson")
-        return float(ci.low), float(ci.high)
-
-    def __str__(self) -> str:
-        if not self.of:
-            return "–"
-        low, high = self.interval
-        return f"{self.successes / self.of:.3f} ({self.successes}/{self.of}; {low:.3f}–{high:.3f})"
-
-
 def run_trial(tasks: Sequence[Task], diagnose: Diagnose, workers: int = 2) -> Iterator[Outcome]:
     """Make and diagnose each case, in order, in so many processes.
 
     `diagnose` is a function of a module. A worker lives through the whole trial, so what it computes once for
     a design it keeps. An exception of the diagnosis is an outcome with its text.
     """
-    if workers == 1:
-        yield from (_examine(task, diagnose) for task in tasks)
-        return
-    # fresh interpreters: a fork would copy the threads of a linear algebra library
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        yield from pool.map(_examine, tasks, [diagnose] * len(tasks), chunksize=4)
+    return spread(partial(_examine, diagnose=diagnose), tasks, workers)
 
 
 def _examine(task: Task, diagnose: Diagnose) -> Outcome:

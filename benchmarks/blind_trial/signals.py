@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.arrays import ARCSEC, Floats
-from benchmarks.blind_trial.designs import Run, make_run
-from benchmarks.blind_trial.geometry import specific_force
-from benchmarks.blind_trial.truth import Truth
+from benchmarks.blind_trial.stand import Run, Truth, make_run, specific_force
 
 K: Final = np.array(
     [
@@ -44,12 +42,8 @@ def signals(
     tilt, zero, skew = errors[run.mount].T
     angle = (run.head_angle if true_angle is None else true_angle) + zero + setting
     added: dict[str, Floats | float] = {
-        "angle": angle,
-        "tilt": tilt,
-        "skew": skew,
-        "roll": 0.0,
-        "gravity": 1.0,
-    }
+        "angle": angle, "tilt": tilt, "skew": skew, "roll": 0.0, "gravity": 1.0,
+    }  # fmt: skip
     for truth in truths:
         if truth.shift is not None:
             for key, value in truth.shift(run, truth.amplitude).items():

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import fuzz_campaign, fuzz_inputs, fuzz_trials
+from benchmarks import fuzz_campaign, fuzz_inputs
+from benchmarks.fuzz_campaign import called, own_folder, tried
 from benchmarks.fuzz_inputs import as_csv, as_yaml, readings, result, shipped
-from benchmarks.fuzz_trials import called, own_folder, tried
 
 SEED = 20261122
 QUICK, SLOW = 3, 9
 
 
-@pytest.mark.parametrize("kind", fuzz_trials.KINDS)
+@pytest.mark.parametrize("kind", fuzz_campaign.KINDS)
 def test_a_few_inputs_of_each_kind_bring_sentences_alone(kind: str, tmp_path: Path) -> None:
     for number in range(QUICK):
         with own_folder(tmp_path):
@@ -23,7 +23,7 @@ def test_a_few_inputs_of_each_kind_bring_sentences_alone(kind: str, tmp_path: Pa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", fuzz_trials.KINDS)
+@pytest.mark.parametrize("kind", fuzz_campaign.KINDS)
 def test_more_inputs_of_each_kind_bring_sentences_alone(kind: str, tmp_path: Path) -> None:
     for number in range(QUICK, SLOW):
         with own_folder(tmp_path):
@@ -51,8 +51,8 @@ def test_the_inputs_are_made_of_good_ones(tmp_path: Path) -> None:
 
 
 def test_what_is_made_is_made_again_from_seed_and_number() -> None:
-    for kind, make in fuzz_trials.MAKERS.items():
-        one, two = (make(fuzz_trials.generator(kind, SEED, 7)) for _ in "ab")
+    for kind, make in fuzz_campaign.MAKERS.items():
+        one, two = (make(fuzz_campaign.generator(kind, SEED, 7)) for _ in "ab")
         assert one == two
 
 
@@ -71,13 +71,13 @@ def test_what_is_made_is_made_again_from_seed_and_number() -> None:
 def test_a_broken_promise_is_seen(out: str, err: str, status: int, what: str) -> None:
     case = fuzz_inputs.Case([["calibrate", "r.csv", "--json", "-"]])
     out = out or ("{}" if status == 0 else "")
-    assert what in {kind for kind, _ in fuzz_trials.judged(case, status, out, err, 0)}
+    assert what in {kind for kind, _ in fuzz_campaign.judged(case, status, out, err, 0)}
 
 
 def test_what_must_be_refused_and_is_not_is_seen() -> None:
     case = fuzz_inputs.Case([["check", "p.yaml"]], refuse="a key that stands twice")
-    assert [what for what, _ in fuzz_trials.judged(case, 0, "fine", "", 0)] == ["accepted"]
-    assert [what for what, _ in fuzz_trials.judged(case, 2, "", "bench: no", 0)] == []
+    assert [what for what, _ in fuzz_campaign.judged(case, 0, "fine", "", 0)] == ["accepted"]
+    assert [what for what, _ in fuzz_campaign.judged(case, 2, "", "bench: no", 0)] == []
 
 
 @pytest.mark.slow

@@ -16,8 +16,7 @@ from bench.panel.access import LARGEST_BODY, MOST_SESSIONS, Access, Role
 from bench.panel.connections import OncePerMinute
 from bench.panel.settings import STATE
 from benchmarks.panel_fuzz import RECORD as RECORDS
-from benchmarks.panel_fuzz import send
-from benchmarks.panel_requests import Request
+from benchmarks.panel_fuzz import Request, send
 from tests.support.panel_client import OWN, Browser, stranger
 from tests.support.served_panel import served
 

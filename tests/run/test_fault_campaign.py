@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from benchmarks import fault_campaign, fault_trials
+from benchmarks import fault_campaign as campaign
 from sim.wires.faults import Fault, FaultKind
 
 pytestmark = pytest.mark.slow
 
 if TYPE_CHECKING:
-    from benchmarks.fault_trials import Outcome, Stand
+    from benchmarks.fault_campaign import Outcome, Stand
 
 SEED = 20261121
 FAULTS = 24
@@ -36,13 +36,13 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def benches(runs: Path) -> dict[str, Stand]:
-    return {stand.name: stand for stand in fault_trials.stands(runs, BENCHES, PATIENT)}
+    return {stand.name: stand for stand in campaign.stands(runs, BENCHES, PATIENT)}
 
 
 def tried(stand: Stand, runs: Path, name: str, *faults: Fault) -> Outcome:
     """Carry out one trial of a name of its own; there is no violation in it."""
-    trial = fault_trials.Trial(name, stand, str(faults[0].kind), faults)
-    outcome = fault_trials.carry_out(trial, runs, NEVER_S)
+    trial = campaign.Trial(name, stand, str(faults[0].kind), faults)
+    outcome = campaign.carry_out(trial, runs, NEVER_S)
     assert outcome.violations == []
     assert outcome.struck == len(faults)
     return outcome
@@ -50,14 +50,14 @@ def tried(stand: Stand, runs: Path, name: str, *faults: Fault) -> Outcome:
 
 def test_a_short_campaign_has_no_violation(tmp_path_factory: pytest.TempPathFactory) -> None:
     runs = tmp_path_factory.mktemp("short")
-    trials = fault_campaign.draw(FAULTS, SEED, fault_trials.stands(runs, BENCHES, SHORT))
-    outcomes = [fault_trials.carry_out(trial, runs, NEVER_S) for trial in trials]
-    assert fault_campaign.violations(outcomes) == []
-    assert {outcome.trial.kind for outcome in outcomes} == set(fault_campaign.KINDS)
+    trials = campaign.draw(FAULTS, SEED, campaign.stands(runs, BENCHES, SHORT))
+    outcomes = [campaign.carry_out(trial, runs, NEVER_S) for trial in trials]
+    assert campaign.violations(outcomes) == []
+    assert {outcome.trial.kind for outcome in outcomes} == set(campaign.KINDS)
     assert sum(outcome.struck for outcome in outcomes) >= 0.6 * FAULTS
     assert any(outcome.completed for outcome in outcomes)
     assert any(outcome.resumed for outcome in outcomes)
-    last = fault_campaign.table(outcomes).splitlines()[-1].split()
+    last = campaign.table(outcomes).splitlines()[-1].split()
     assert last[0] == "all"
     assert last[7:10] == ["0", "0", "0"]  # wrong values, hangs, other violations
 
@@ -77,8 +77,8 @@ def exchange(log: Path, instrument: str, command: str, nth: int = 1) -> int:
 def log(benches: dict[str, Stand], runs: Path) -> Path:
     """The wire log of an undisturbed run on the paper's stand."""
     file = runs / "undisturbed.log"
-    arguments = fault_trials.run_arguments(benches["paper-stand"], runs, "logged")
-    assert fault_trials.command([*arguments, "--wire-log", str(file)])[0] == 0
+    arguments = campaign.run_arguments(benches["paper-stand"], runs, "logged")
+    assert campaign.command([*arguments, "--wire-log", str(file)])[0] == 0
     return file
 
 
@@ -123,12 +123,12 @@ def test_the_judge_sees_a_wrong_value_and_a_missing_name(benches: dict[str, Stan
     assert "0.071469 V" in text
     other.write_text(text.replace("0.071469 V", "0.071470 V"), encoding="utf-8")
     fault = Fault(FaultKind.ERROR, at=2, instrument="voltmeter.x")
-    trial = fault_trials.Trial("judge", stand, "error", (fault,))
-    outcome = fault_trials.carry_out(trial, runs, NEVER_S)
+    trial = campaign.Trial("judge", stand, "error", (fault,))
+    outcome = campaign.carry_out(trial, runs, NEVER_S)
     assert outcome.violations == []
-    judged = fault_trials.Outcome(replace(trial, stand=replace(stand, bench=other)))
-    fault_trials.judge_record(fault_trials.Run(runs / "trial-judge"), judged)
-    assert judged.wrong_values == fault_trials.READINGS
+    judged = campaign.Outcome(replace(trial, stand=replace(stand, bench=other)))
+    campaign.judge_record(campaign.Run(runs / "trial-judge"), judged)
+    assert judged.wrong_values == campaign.READINGS
     judged.said = "bench: voltmeter.y: did something"
-    fault_trials.judge_stop(2, judged)
+    campaign.judge_stop(2, judged)
     assert "the instrument is not named" in judged.violations[-1]

@@ -14,8 +14,8 @@ from bench.run.listening import Interrupts
 from bench.run.person import RunControl
 from bench.run.power import WATCH_S, RailFault
 from bench.run.terminal import LineReader, ProgressBar, TerminalPerson
-from benchmarks import supply_trials
-from benchmarks.fault_trials import command
+from benchmarks import supply_campaign
+from benchmarks.fault_campaign import command
 from drivers.interfaces import NoAnswer
 from drivers.person import Answer, Prompt, PromptKind
 from sim.world.clock import VirtualClock
@@ -210,9 +210,9 @@ def test_a_supply_that_a_person_works_is_not_watched_at_questions():
 @pytest.mark.slow
 def test_a_rail_that_drifts_while_the_block_is_mounted_stops_the_run_within_its_limits(tmp_path):
     """Toward the other sign it passes no protection, and 20 min of mounting would take it to +2.9 V."""
-    (stand,) = supply_trials.stands(tmp_path, supply_trials.WAYS[2:])
+    (stand,) = supply_campaign.stands(tmp_path, supply_campaign.WAYS[2:])
     drift = Disturbance("drift", 596.0, "3", 53.0)
-    with supply_trials.watched(drift) as watch:
+    with supply_campaign.watched(drift) as watch:
         status, said, _ = command(
             ["run", str(stand.procedure), "--dry-run", "--bench", str(stand.bench), "--runs", str(tmp_path)]
         )

@@ -6,7 +6,7 @@ from typing import Any
 
 from benchmarks.blind_trial.cases import Answer, Case, Row, make_case
 from benchmarks.blind_trial.effects import CATALOGUE
-from benchmarks.blind_trial.geometry import Floats
+from benchmarks.blind_trial.stand import Floats
 
 SEED = 20261122
 NOISE_V = 15e-6

@@ -10,10 +10,9 @@ import pytest
 from scipy.linalg import block_diag
 
 from benchmarks.blind_trial.cases import Row, make_case, seal
-from benchmarks.blind_trial.designs import DESIGNS, make_run
 from benchmarks.blind_trial.effects import CATALOGUE, CLASS_OF, HIDDEN
-from benchmarks.blind_trial.geometry import specific_force
 from benchmarks.blind_trial.signals import SETTING_SIGMA, STAND_SIGMA, K, signals, visibility
+from benchmarks.blind_trial.stand import DESIGNS, make_run, specific_force
 from tests.support.blind_cases import NOISE_V, SEED
 
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from benchmarks.blind_trial.designs import Weather, head_path, make_run
 from benchmarks.blind_trial.effects import BLOCK
-from benchmarks.blind_trial.geometry import ARCSEC, specific_force
 from benchmarks.blind_trial.signals import K, signature
+from benchmarks.blind_trial.stand import ARCSEC, Weather, head_path, make_run, specific_force
 from tests.support import paper_bench
 from tests.support.blind_cases import SEED
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmarks.blind_trial.cases import Row, make_case
-from benchmarks.blind_trial.known import judge_known
+from benchmarks.blind_trial.outside import judge_known
 
 SEED = 6
 

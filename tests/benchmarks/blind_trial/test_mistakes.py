@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.blind_trial.designs import make_run
 from benchmarks.blind_trial.signals import SETTING_SIGMA, signals
+from benchmarks.blind_trial.stand import make_run
 from tests.support.blind_cases import NOISE_V, mistaken
 
 SMALL_V = 2e-3

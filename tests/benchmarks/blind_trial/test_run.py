@@ -7,11 +7,10 @@ import json
 import pytest
 
 from benchmarks.blind_trial.cases import make_case, seal
-from benchmarks.blind_trial.designs import make_run
-from benchmarks.blind_trial.kept import Kept
 from benchmarks.blind_trial.mistakes import MISTAKES
-from benchmarks.blind_trial.run import FULL, SHORT, main
+from benchmarks.blind_trial.run import FULL, SHORT, kept_in, main
 from benchmarks.blind_trial.signals import signals
+from benchmarks.blind_trial.stand import make_run
 from tests.support.blind_cases import SEED, said
 
 
@@ -76,12 +75,12 @@ def test_a_trial_that_was_interrupted_goes_on_where_it_stopped(tmp_path, capsys)
         score(seed=2)
     own_lines = kept.read_bytes().splitlines(keepends=True)
     other = tmp_path / "other"
-    Kept(other, 1, code="another program")
+    kept_in(other, 1, code="another program")
     kept.write_bytes(b"".join([*other.read_bytes().splitlines(keepends=True), *own_lines[1:]]))
     with pytest.raises(SystemExit, match="of another program"):
         score()
     kept.write_text('{\n "score": 1\n}')
-    with pytest.raises(SystemExit, match="holds no diagnoses of a trial"):
+    with pytest.raises(SystemExit, match="holds no results of a campaign"):
         score()
     assert kept.read_text() == '{\n "score": 1\n}'
     capsys.readouterr()

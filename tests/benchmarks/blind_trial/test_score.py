@@ -5,8 +5,14 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.blind_trial.cases import Row, make_case
-from benchmarks.blind_trial.score import NOT_SHRUNK, Share, judge
-from benchmarks.blind_trial.ties import can_tell_by_signature, can_tell_by_table, nearest_rival
+from benchmarks.blind_trial.score import (
+    NOT_SHRUNK,
+    can_tell_by_signature,
+    can_tell_by_table,
+    judge,
+    nearest_rival,
+)
+from benchmarks.campaign import Share
 from tests.support.blind_cases import SEED, mistaken, said, single
 
 

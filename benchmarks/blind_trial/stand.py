@@ -1,15 +1,69 @@
-"""The runs of the trial: which reading is taken where, when, in which direction, at what temperature."""
+"""The stand of the trial: its geometry, the runs that are carried out on it, and how an effect acts there.
+
+The geometry is exact, as turns of the frame around a fixed vertical. The specific force of a block at rest is 1 g
+upwards; its components are followed through the frames: level ground, shaft, head, platform, bracket, block. It
+agrees with the paper's (3)-(4) to second order in the angles.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.blind_trial.geometry import AXES, Floats
+Floats = NDArray[np.float64]
+
+ARCSEC: Final = np.pi / 648000
+_HALF = np.sqrt(0.5)
+
+AXES: Final[dict[str, Floats]] = {
+    "1": np.eye(3),
+    "2": np.array([[-1.0, 0, 0], [0, 0, 1], [0, 1, 0]]),
+    "1T90": np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+    "2T90": np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]]),
+    "1T180": np.array([[-1.0, 0, 0], [0, -1, 0], [0, 0, 1]]),
+    "2T180": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+    "V": np.array([[_HALF, _HALF, 0], [-_HALF, _HALF, 0], [0, 0, 1]]),
+}
+"""Rows: the block's axes x, y, z written in platform axes. V is turned by 45° about z of the platform."""
+
+
+def specific_force(
+    labels: NDArray[np.str_],
+    angle: Floats,
+    axis_tilt: Floats | float = 0.0,
+    mounting_error: Floats | float = 0.0,
+    mounting_roll: Floats | float = 0.0,
+) -> Floats:
+    """Specific force on the block's axes in g, shape (n, 3).
+
+    `labels` (n,) are keys of `AXES`, `angle` (n,) the true head angle (zero offset and setting error
+    included), `axis_tilt` α1, `mounting_error` α3, `mounting_roll` α5, all in rad, (n,) or one for all.
+    """
+    up_y, up_z = np.sin(axis_tilt), np.cos(axis_tilt)
+    x, z = up_z * np.sin(angle), up_z * np.cos(angle)
+    x, y = (
+        x * np.cos(mounting_error) + up_y * np.sin(mounting_error),
+        up_y * np.cos(mounting_error) - x * np.sin(mounting_error),
+    )
+    y, z = (
+        y * np.cos(mounting_roll) + z * np.sin(mounting_roll),
+        z * np.cos(mounting_roll) - y * np.sin(mounting_roll),
+    )
+    platform = np.stack(np.broadcast_arrays(x, y, z), axis=1)
+    force = np.zeros_like(platform)
+    for label in np.unique(labels):
+        rows = labels == label
+        force[rows] = platform[rows] @ AXES[str(label)].T
+    return force
+
+
+# --- which reading is taken where, when, in which direction, at what temperature -------------------------
+
 
 POINT_S: Final = 120.0
 INPUT_CHECK_S: Final = 60.0
@@ -225,3 +279,65 @@ def head_path(name: str) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
     level = np.stack([np.sin(way), np.zeros(len(way)), np.cos(way)], axis=1)
     force = np.einsum("nij,nj->ni", np.stack([AXES[label] for label in of]), level)
     return force, stops, np.array(begins)
+
+
+# --- a hidden effect -------------------------------------------------------------------------------------
+
+
+Stage = Literal["stand", "block", "voltmeter"]
+Act = Callable[[Run, Floats, float], Floats]
+Shift = dict[str, Floats | float]
+CHANNELS: Final = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """One effect with drawn parameters, ready to act on a run.
+
+    `amplitude` is in units of the plausible size (1 σ of `effects.md`). What acts is one of:
+    `shift(run, amplitude)` for the stand: rad (n,) to add to `angle`, `tilt` (α1), `skew` (α3) or `roll` (α5),
+    or `gravity` as a relative change; `act(run, force, amplitude)` for the block: g (n, 3), scaled by K_ii;
+    `act(run, volts, amplitude)` for the voltmeter: V (n, 3). `shape` names what does not enter linearly.
+    """
+
+    name: str
+    stage: Stage
+    act: Act | None = None
+    shift: Callable[[Run, float], Shift] | None = None
+    amplitude: float = 1.0
+    channels: tuple[str, ...] = ()
+    mounts: tuple[str, ...] = ()
+    shape: str = ""
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+    def scaled(self, amplitude: float) -> Truth:
+        return replace(self, amplitude=amplitude)
+
+
+Draw = Callable[[np.random.Generator, Run], Truth]
+"""Draws the parameters of an effect for a run."""
+
+
+def channel_weights(rng: np.random.Generator) -> tuple[Floats, tuple[str, ...]]:
+    """Draw one, two or three channels with signed weights of 0.5 to 1; the rest is zero."""
+    count = int(rng.choice([1, 2, 3], p=[0.5, 0.25, 0.25]))
+    chosen = np.sort(rng.choice(3, count, replace=False))
+    weights = np.zeros(3)
+    weights[chosen] = rng.choice([-1.0, 1.0], count) * rng.uniform(0.5, 1.0, count)
+    return weights, tuple(CHANNELS[i] for i in chosen)
+
+
+def mount_weights(
+    rng: np.random.Generator, run: Run, *, after_remount: bool = False
+) -> tuple[Floats, tuple[str, ...]]:
+    """Draw one or more mountings of the calibration with signed weights of 0.5 to 1.
+
+    With `after_remount` the first mounting is what the others are compared with and stays zero. Returns the
+    weights for the rows (n,) and the labels of the mountings.
+    """
+    mounts = run.calibration_mounts[1 if after_remount else 0 :]
+    count = int(rng.integers(1, len(mounts) + 1))
+    chosen = np.sort(rng.choice(mounts, count, replace=False))
+    weights = np.zeros(int(run.mount.max()) + 1)
+    weights[chosen] = rng.choice([-1.0, 1.0], count) * rng.uniform(0.5, 1.0, count)
+    return weights[run.mount], tuple(str(run.labels[(run.mount == m) & run.measured][0]) for m in chosen)

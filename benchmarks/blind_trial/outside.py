@@ -1,0 +1,356 @@
+"""What the catalogue does not name: a user's own formulas, effects without a name, the supply, known benches."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from bench.base.arrays import ARCSEC
+from benchmarks.blind_trial.effects import BLOCK, wobble
+from benchmarks.blind_trial.stand import CHANNELS, Draw, Floats, Run, Shift, Truth, channel_weights
+
+# --- stated by a user as formulas (`own-effects.yaml`), in forms of the trial's own ----------------------
+
+
+FORMULAS: Final = Path(__file__).with_name("own-effects.yaml")
+"""What the diagnosis is given; the truths below know nothing of it."""
+
+
+def _turns(run: Run) -> Floats:
+    """Whole turns since the block was mounted, of a head that goes on in its direction and is never unwound."""
+    return (run.pass_number - 1) + run.head_angle / (2 * np.pi)
+
+
+def _cable_pull(rng: np.random.Generator, _: Run) -> Truth:
+    sign = rng.choice([-1.0, 1.0])
+
+    def shift(run: Run, x: float) -> Shift:
+        return {"skew": sign * x * 20 * ARCSEC * _turns(run)}
+
+    return Truth("cable_pull", "stand", shift=shift)
+
+
+def _fourth_power(rng: np.random.Generator, _: Run) -> Truth:
+    weights, channels = channel_weights(rng)
+
+    def act(_: Run, force: Floats, x: float) -> Floats:
+        return np.asarray(x * 20e-6 * weights * np.square(np.square(force)))
+
+    return Truth("fourth_power", "block", act, channels=channels)
+
+
+def _after_effect(rng: np.random.Generator, _: Run) -> Truth:
+    """A relaxation of two lengths, neither of which is one that is tried."""
+    weights, channels = channel_weights(rng)
+    length = float(rng.choice([0.35, 0.7, 1.4]))
+
+    def act(run: Run, _: Floats, x: float) -> Floats:
+        turns = _turns(run)
+        left = 0.8 * np.exp(-turns / length) + 0.2 * np.exp(-turns / (0.3 * length))
+        return np.asarray(x * 100e-6 * weights * left[:, None])
+
+    return Truth("after_effect", "block", act, channels=channels, shape=f"{length:g} turns")
+
+
+def _rectified_crosstalk(rng: np.random.Generator, _: Run) -> Truth:
+    sign = rng.choice([-1.0, 1.0])
+
+    def act(_: Run, volts: Floats, x: float) -> Floats:
+        size = np.abs(volts)
+        return np.asarray(sign * x * 25e-6 * (np.roll(size, 1, axis=1) + np.roll(size, 2, axis=1)))
+
+    return Truth("rectified_crosstalk", "voltmeter", act)
+
+
+OWN: Final[dict[str, Draw]] = {
+    "cable_pull": _cable_pull,
+    "fourth_power": _fourth_power,
+    "after_effect": _after_effect,
+    "rectified_crosstalk": _rectified_crosstalk,
+}
+
+
+# --- something is there and it has no name ---------------------------------------------------------------
+
+
+SIZE_G: Final = 30e-6
+
+
+def _one_channel(name: str, rng: np.random.Generator, column: Floats) -> Truth:
+    """A course (n,) over the rows added to one channel, in units of 30 µg."""
+    channel = int(rng.integers(3))
+
+    def act(_: Run, __: Floats, x: float) -> Floats:
+        return np.asarray(x * SIZE_G * column[:, None] * np.eye(3)[channel])
+
+    return Truth(name, "block", act, channels=(CHANNELS[channel],))
+
+
+def _bias_jump(rng: np.random.Generator, run: Run) -> Truth:
+    mount = rng.choice(run.calibration_mounts)
+    rows = np.flatnonzero((run.mount == mount) & run.fitted)
+    row = int(rng.choice(rows[4:-4]))
+    after = (np.arange(len(run.mount)) >= row).astype(float)
+    return _one_channel("bias_jump", rng, after)
+
+
+def _random_walk(rng: np.random.Generator, run: Run) -> Truth:
+    return _one_channel("random_walk", rng, np.cumsum(rng.normal(size=len(run.mount))))
+
+
+def _flicker(rng: np.random.Generator, run: Run) -> Truth:
+    """Noise of power 1/f over the readings, by shaping a white spectrum."""
+    n = len(run.mount)
+    spectrum = np.fft.rfft(rng.normal(size=4 * n))
+    spectrum[1:] /= np.sqrt(np.arange(1, len(spectrum)))
+    spectrum[0] = 0
+    course = np.fft.irfft(spectrum)[:n]
+    return _one_channel("flicker_noise", rng, course / np.std(course))
+
+
+def _cable_torque(rng: np.random.Generator, run: Run) -> Truth:
+    return _one_channel("cable_torque", rng, np.sin(run.head_angle / 2))
+
+
+def _pickup(rng: np.random.Generator, run: Run) -> Truth:
+    """The leads run past a magnet in one mounting."""
+    mount = rng.choice(run.calibration_mounts)
+    course = np.cos(2 * run.head_angle + rng.uniform(0, 2 * np.pi)) * (run.mount == mount)
+    return _one_channel("single_installation_pickup", rng, course)
+
+
+def _sticking_angle(rng: np.random.Generator, run: Run) -> Truth:
+    """A pendulum hangs at one angle of one mounting, in each pass."""
+    mount = rng.choice(run.calibration_mounts)
+    rows = (run.mount == mount) & run.fitted
+    angle = rng.choice(np.unique(run.angle[rows])[1:-1])
+    return _one_channel("sticking_angle", rng, (rows & (run.angle == angle)).astype(float))
+
+
+def _quadratic_drift(rng: np.random.Generator, run: Run) -> Truth:
+    t = run.time_s / run.time_s[run.fitted].max()
+    return _one_channel("quadratic_drift", rng, 4 * (t - 0.5) ** 2)
+
+
+def _third_harmonic_wobble(rng: np.random.Generator, run: Run) -> Truth:
+    phase = rng.uniform(0, 2 * np.pi)
+
+    def shift(r: Run, x: float) -> Shift:
+        return {"tilt": wobble(3, phase, r, 5 * x)}
+
+    return Truth("third_harmonic_wobble", "stand", shift=shift)
+
+
+def _dead_band(rng: np.random.Generator, run: Run) -> Truth:
+    """The pendulum does not follow over a short way at some level: what comes after is short of it."""
+    channel = int(rng.integers(3))
+    level = rng.uniform(-0.85, 0.85)
+
+    def act(_: Run, force: Floats, x: float) -> Floats:
+        half = x * SIZE_G
+        return np.asarray(-np.clip(force - level, -half, half) * np.eye(3)[channel])
+
+    return Truth("dead_band", "block", act, channels=(CHANNELS[channel],), parameters={"level_g": level})
+
+
+def _gear_ratio(rng: np.random.Generator, run: Run) -> Truth:
+    """The head turns a little too far with every degree, and its counter begins anew at the first point."""
+    sign = rng.choice([-1.0, 1.0])
+
+    def shift(r: Run, x: float) -> Shift:
+        return {"angle": sign * 10 * x * ARCSEC * r.head_angle / (2 * np.pi)}
+
+    return Truth("gear_ratio_error", "stand", shift=shift)
+
+
+def _fifth_power(rng: np.random.Generator, run: Run) -> Truth:
+    channel = int(rng.integers(3))
+
+    def act(_: Run, force: Floats, x: float) -> Floats:
+        return np.asarray(x * SIZE_G * force**5 * np.eye(3)[channel])
+
+    return Truth("fifth_power", "block", act, channels=(CHANNELS[channel],))
+
+
+def _two_time_constants(rng: np.random.Generator, run: Run) -> Truth:
+    """Two junctions in the leads of a channel come to rest, one soon and one late, against each other."""
+    late, soon = 90 * 60.0, 12 * 60.0
+
+    def act(r: Run, volts: Floats, x: float) -> Floats:
+        course = np.exp(-r.time_s / late) - 0.8 * np.exp(-r.time_s / soon)
+        return np.asarray(x * 30e-6 * course[:, None] * np.eye(3)[channel])
+
+    channel = int(rng.integers(3))
+    return Truth("two_time_constants", "voltmeter", act, channels=(CHANNELS[channel],))
+
+
+def _noise_burst(rng: np.random.Generator, run: Run) -> Truth:
+    """A channel is noisy in one pass of one mounting."""
+    mount = rng.choice(run.calibration_mounts)
+    number = rng.choice(np.unique(run.pass_number[(run.mount == mount) & run.fitted]))
+    rows = (run.mount == mount) & (run.pass_number == number) & run.fitted
+    return _one_channel("noise_burst", rng, rows * rng.normal(size=len(rows)))
+
+
+def _unknown(draw: Draw) -> Draw:
+    """Return an effect that a user's formula describes, where no such formula is given."""
+
+    def drawn(rng: np.random.Generator, run: Run) -> Truth:
+        truth = draw(rng, run)
+        return replace(truth, name=f"{truth.name} (unknown)")
+
+    return drawn
+
+
+WITHOUT_MEAN: Final = ("random_walk", "flicker_noise", "noise_burst")
+"""What is another course in each run: no form of its mean predicts what was not read."""
+
+OUTSIDE: Final[dict[str, Draw]] = {
+    "bias_jump": _bias_jump,
+    "random_walk": _random_walk,
+    "cable_torque": _cable_torque,
+    "single_installation_pickup": _pickup,
+    "sticking_angle": _sticking_angle,
+    "quadratic_drift": _quadratic_drift,
+    "third_harmonic_wobble": _third_harmonic_wobble,
+    "dead_band": _dead_band,
+    "gear_ratio_error": _gear_ratio,
+    "flicker_noise": _flicker,
+    **{f"{name} (unknown)": _unknown(draw) for name, draw in OWN.items()},
+    "fifth_power": _fifth_power,
+    "two_time_constants": _two_time_constants,
+    "noise_burst": _noise_burst,
+}
+
+
+# --- a block that is fed by two rails whose voltages are recorded ----------------------------------------
+
+
+SENSITIVE: Final = "supply"
+DRIFTING: Final = "supply:drift"
+SUPPLIED: Final = (SENSITIVE, DRIFTING)
+NOMINAL_V: Final = (15.0, -15.0)
+NAMES: Final = ("p15", "n15")
+
+
+def courses(rng: np.random.Generator, run: Run) -> Floats:
+    """Return the voltages of the two rails less their nominal ones, V, shape (n, 2)."""
+    apart_h = np.diff(run.time_s, prepend=run.time_s[0]) / 3600.0
+    rails = []
+    for _ in NOMINAL_V:
+        wandered = np.cumsum(rng.normal(0, 0.05, len(run.time_s)) * np.sqrt(apart_h))
+        period_s, phase = rng.uniform(40, 120) * 60, rng.uniform(0, 2 * np.pi)
+        cycle = rng.uniform(0.05, 0.2) * np.sin(2 * np.pi * run.time_s / period_s + phase)
+        rails.append(rng.normal(0, 0.05) + cycle + wandered)
+    return np.stack(rails, axis=1)
+
+
+def sensitive(rng: np.random.Generator, run: Run, above_v: Floats) -> Truth:
+    """Bias, scale factor or both follow one of the rails."""
+    weights, channels = channel_weights(rng)
+    rail = int(rng.integers(len(NAMES)))
+    bias, scale = ((1.0, 0.0), (0.0, 1.0), (0.7, -0.7))[int(rng.integers(3))]
+
+    def act(_: Run, force: Floats, x: float) -> Floats:
+        return x * 20e-6 * weights * above_v[:, rail, None] * (bias + scale * force)
+
+    return Truth("supply_sensitivity", "block", act, channels=channels, shape=NAMES[rail])
+
+
+def drifting(rng: np.random.Generator, run: Run, above_v: Floats) -> Truth:
+    """A drift of the bias in time, whatever the rails do."""
+    return BLOCK["bias_drift"](rng, run)
+
+
+def recorded(rng: np.random.Generator, above_v: Floats) -> dict[str, Any]:
+    """Return the columns of a readings table."""
+    columns: dict[str, Any] = {}
+    for name, nominal_v, above in zip(NAMES, NOMINAL_V, above_v.T, strict=True):
+        measured = np.round(nominal_v + above + rng.normal(0, 1e-3, len(above)), 3)
+        columns[f"rail_{name}_v"] = np.array([f"{v:.3f}" for v in measured])
+        columns[f"rail_{name}_nominal_v"] = np.array([f"{nominal_v:g}"] * len(above))
+    return columns
+
+
+def judge_supply(kind: str, diagnosis: dict[str, Any]) -> dict[str, bool]:
+    """Return what can be said of a diagnosis of one of these kinds."""
+    verdict = diagnosis["verdict"]
+    own, other = "supply_sensitivity", "bias_drift"
+    if kind == DRIFTING:
+        own, other = other, own
+    sets = [{e["name"], *e.get("cannot_tell_from", ())} for e in diagnosis["effects"]]
+    said = set().union(*sets)
+    marks = {
+        "detected": verdict != "agrees",
+        "in the set": own in said,
+        f"told from {other}": own in said and other not in said,
+        "alone given": verdict == "named",
+    }
+    if verdict == "named":
+        marks["alone right"] = said == {own}
+    return marks
+
+
+# --- what is known of a bench, and what comes after a mistake --------------------------------------------
+
+
+OTHER_PSI: Final = "other_psi"
+COMMON_VOLTS: Final = "common_volts"
+HAND_SET: Final = "hand_set"
+REPAIRED: Final = "repaired"
+KNOWN: Final = (OTHER_PSI, COMMON_VOLTS, HAND_SET, REPAIRED)
+TILT_RAD: Final = float(np.radians(0.5))
+ELECTRICS: Final = frozenset({"voltmeter_warm_up", "voltmeter_drift"})
+NOT_TOLD: Final = frozenset({"voltmeter_gain", "wrong_gravity"})
+
+
+def stated_psi_deg(rng: np.random.Generator) -> float:
+    """Draw what a bench file says of the verification points, which stand at 45°."""
+    return float(rng.choice([rng.uniform(5, 35), rng.uniform(55, 85)]))
+
+
+def common_volts(rng: np.random.Generator, run: Run) -> Truth:
+    """The same voltage in all channels: two thirds of it are gone in 8 to 15 min, the rest in 25 to 50."""
+    fast, slow = rng.uniform(8, 15) * 60, rng.uniform(25, 50) * 60
+    part = 0.67 * np.exp(-run.time_s / fast) + 0.33 * np.exp(-run.time_s / slow)
+    sign = rng.choice([-1.0, 1.0])
+
+    def act(_: Run, volts: Floats, x: float) -> Floats:
+        return np.broadcast_to(sign * 100e-6 * x * part[:, None], volts.shape)
+
+    return Truth("voltmeter_warm_up", "voltmeter", act, channels=("x", "y", "z"))
+
+
+def hand_set(rng: np.random.Generator, run: Run) -> Truth:
+    """Each setting off by its own angles, in the plane of the head and out of it."""
+    off = rng.normal(0, TILT_RAD, (3, len(run.mount)))
+
+    def shift(_: Run, x: float) -> Shift:
+        return {"angle": x * off[0], "skew": x * off[1], "roll": x * off[2]}
+
+    return Truth("hand_set", "stand", shift=shift)
+
+
+def judge_known(kind: str, truth: tuple[str, ...], diagnosis: dict[str, Any]) -> dict[str, bool]:
+    """Return what can be said of a diagnosis of one of these kinds."""
+    verdict = diagnosis["verdict"]
+    names = [{e["name"], *e.get("cannot_tell_from", ())} for e in diagnosis["effects"]]
+    if kind == OTHER_PSI:
+        told = diagnosis["verification_orientation"]
+        return {
+            "agrees": verdict == "agrees",
+            "contradiction told": bool(told) and told["contradicts_bench_file"],
+            "hidden listed": set(diagnosis["hidden"]) >= NOT_TOLD,
+        }
+    if kind == HAND_SET:
+        return {"no mistake alleged": verdict != "mistake"}
+    if kind == COMMON_VOLTS:
+        found = verdict != "agrees"
+        return {"detected": found, "points at the electrics": any(one & ELECTRICS for one in names)}
+    return {
+        "mistake found": verdict == "mistake",
+        "the effect in the set": any(truth[0] in one for one in names),
+    }
