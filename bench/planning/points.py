@@ -336,12 +336,7 @@ def _unreachable(
 
 
 def _points(
-    stand: Stand,
-    sites: Sites,
-    chosen: Sequence[int],
-    visited: Ints,
-    goals: Sequence[Goal],
-    cost: Cost,
+    stand: Stand, sites: Sites, chosen: Sequence[int], visited: Ints, goals: Sequence[Goal], cost: Cost
 ) -> Points:
     """The chosen points in order, with their covariance as the estimator itself has it."""
     counts = visited.reshape(len(chosen), len(sites.angle_rad))

@@ -17,13 +17,7 @@ from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.model import Block, Distribution, ForwardModel, Installation
-from bench.planning.requirements import (
-    BEYOND,
-    Requirement,
-    of_acceleration,
-    of_coefficient,
-    of_delta_g,
-)
+from bench.planning.requirements import BEYOND, Requirement, of_acceleration, of_coefficient, of_delta_g
 from tests.support.paper_bench import ARCSEC, U0, K, simulate, specific_force
 
 SIZES = {

@@ -11,15 +11,7 @@ from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.model import CATALOGUE, ForwardModel
 from bench.planning.optimal_design import coefficient_goals
-from bench.planning.until.choice import (
-    REACHED,
-    TIME,
-    USED_UP,
-    Scale,
-    Standing,
-    scale_of,
-    telling_apart,
-)
+from bench.planning.until.choice import REACHED, TIME, USED_UP, Scale, Standing, scale_of, telling_apart
 from bench.planning.until.design import Visits
 from bench.planning.until.outlook import time_outlook
 from bench.planning.until.pool import Reached, pool_of

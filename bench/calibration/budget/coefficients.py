@@ -14,11 +14,7 @@ from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration import gls
 from bench.calibration.budget.error_source import NAME as FOUNDATION
 from bench.calibration.budget.error_source import ErrorSource, tilt_patterns
-from bench.calibration.budget.propagation import (
-    COVERAGE,
-    Propagated,
-    effective_dof,
-)
+from bench.calibration.budget.propagation import COVERAGE, Propagated, effective_dof
 from bench.calibration.design import FIXED, STEP_RAD, Problem, make_problem
 from bench.calibration.estimators import GLS, in_a_budget
 from bench.calibration.gls import Task

@@ -82,10 +82,7 @@ def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
 
 
 def hidden_sources(
-    bench: BenchFile,
-    model: ForwardModel,
-    day: datetime.date | None = None,
-    meters: KnownMeters | None = None,
+    bench: BenchFile, model: ForwardModel, day: datetime.date | None = None, meters: KnownMeters | None = None
 ) -> tuple[ErrorSource, ...]:
     """Return the sources that no reading of a calibration shows and no fit holds: priors where none is stated.
 

@@ -10,14 +10,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from bench.base.arrays import CHANNELS
-from bench.base.units import (
-    CURRENT,
-    DURATION,
-    SCALE_FACTOR,
-    VOLTAGE,
-    QuantityKind,
-    parse_quantity,
-)
+from bench.base.units import CURRENT, DURATION, SCALE_FACTOR, VOLTAGE, QuantityKind, parse_quantity
 from bench.base.yaml_files import Place, part, unknown_word
 from bench.config.bench_file.sections import InstrumentsSection
 from bench.config.devices.device import Role, bus_place

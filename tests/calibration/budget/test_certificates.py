@@ -12,13 +12,7 @@ from bench.calibration.budget.sources import bench_sources
 from bench.config.bench_file.file import load_bench, load_recorded_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
-from tests.support.certified_bench import (
-    HELD,
-    certified,
-    meter_certificate,
-    table_certificate,
-    write_bench,
-)
+from tests.support.certified_bench import HELD, certified, meter_certificate, table_certificate, write_bench
 
 PLAN = load_procedure(find_procedure("paper")).expand()
 HALF_A_YEAR = datetime.date(2026, 1, 1) + datetime.timedelta(days=183)

@@ -75,11 +75,7 @@ def test_the_paper_stand_is_the_papers():
     block = bench.simulated_block()
     assert np.array_equal(
         block.K,
-        [
-            [-2.177087, -0.018243, 0.025027],
-            [0.026542, -2.139892, 0.032755],
-            [0.006754, 0.006026, -2.144367],
-        ],
+        [[-2.177087, -0.018243, 0.025027], [0.026542, -2.139892, 0.032755], [0.006754, 0.006026, -2.144367]],
     )
     assert np.array_equal(block.U0, [0.071469, -0.196485, -0.411789])
     stand = bench.stand_distributions()

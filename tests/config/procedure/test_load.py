@@ -243,9 +243,7 @@ def test_mistakes_in_included_files_name_file_and_line(mistakes):
 
 def test_files_that_include_each_other_are_refused(mistakes):
     told = mistakes(
-        "  - include: a.yaml\n",
-        a="steps: [{include: b.yaml}]\n",
-        b="steps:\n  - include: a.yaml\n",
+        "  - include: a.yaml\n", a="steps: [{include: b.yaml}]\n", b="steps:\n  - include: a.yaml\n"
     )
     assert told == ["b.yaml2 steps[1].include: the file includes itself: a.yaml → b.yaml → a.yaml"]
 
