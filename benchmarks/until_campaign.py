@@ -33,9 +33,8 @@ from bench.calibration.result import Calibration
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
-from bench.planning.until.choice import REACHED, Choice, Chooser, Standing, scale_of
-from bench.planning.until.design import Task, Visits
-from bench.planning.until.pool import Point, reached_by
+from bench.planning.choice import REACHED, Choice, Chooser, Standing, scale_of
+from bench.planning.pool import Point, Task, Visits, reached_by
 from bench.readings.table import Readings, make_readings
 from bench.services.until import chooser_of
 from benchmarks.campaign import arguments

@@ -22,9 +22,8 @@ import numpy as np
 from bench.calibration.batch import Batch, calibrate_batch
 from bench.calibration.noise import LEAST_REPEATS
 from bench.calibration.result import Noise
-from bench.planning.until.choice import Chooser, Standing
-from bench.planning.until.design import Visits
-from bench.planning.until.pool import Point
+from bench.planning.choice import Chooser, Standing
+from bench.planning.pool import Point, Visits
 from benchmarks.campaign import arguments
 from benchmarks.until_campaign import (
     MOUNT_RAD,

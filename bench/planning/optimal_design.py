@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats, Ints
-from bench.calibration.budget.assessment import delta_g, directions
+from bench.calibration.budget.assessment import delta_g_variances, directions
 from bench.calibration.budget.coefficients import Budget, Setup, make_budget
 from bench.calibration.budget.error_source import ErrorSource, learned_sources
 from bench.calibration.budget.sources import effect_sources, stand_source
@@ -482,11 +482,12 @@ def checks_of(goals: Sequence[Goal]) -> list[Setting]:
 
 def parts_of_goals(goals: Sequence[Goal], budget: Budget) -> list[dict[str, float]]:
     """Return the variance of each goal by source; the budget has the verification points of `checks_of`."""
-    points = iter(delta_g(budget, np.inf) if checks_of(goals) else ())
+    names = [c.source.name for c in budget.contributions]
+    points = iter(delta_g_variances(budget).tolist() if checks_of(goals) else ())
     return [
         {c.source.name: goal.variance(c.covariance) for c in budget.contributions}
         if goal.judged is None
-        else {name: u**2 for name, u in next(points).by_source.items()}
+        else dict(zip(names, next(points), strict=True))
         for goal in goals
     ]
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from bench.base.arrays import Floats
-from bench.calibration.budget.assessment import delta_g, directions, measured
+from bench.calibration.budget.assessment import delta_g_variances, directions, measured
 from bench.calibration.budget.coefficients import Budget, Setup, make_budget
 from bench.calibration.budget.error_source import ErrorSource
 from bench.calibration.result import CalibrationError
@@ -40,12 +40,12 @@ def of_delta_g(*, reading: bool) -> Target:
     """Return delta g at the verification points, from the coefficients' errors, or with those of its `reading`."""
 
     def variances(budget: Budget) -> Floats:
-        found = delta_g(budget, 1.0, reading=reading)
-        if not found:
+        found = delta_g_variances(budget, reading=reading)
+        if not len(found):
             raise CalibrationError(
                 "the procedure has no verification point, so nothing is known of Δg; take one that has"
             )
-        return np.array([list(point.by_source.values()) for point in found]) ** 2
+        return found
 
     return variances
 

@@ -19,7 +19,7 @@ from bench.base.files import write_whole
 from bench.base.numbers import fixed
 from bench.base.result_model import Matrix, Real, ResultModel, Vector
 from bench.base.tables import as_html, as_text, table
-from bench.calibration.budget.assessment import DIGITS, Assessment, ExactResult
+from bench.calibration.budget.assessment import DIGITS, Assessment, AtMagnitude, DeltaG, ExactResult
 from bench.calibration.budget.coefficients import Contribution
 from bench.calibration.budget.propagation import correlation_of, coverage_factor
 from bench.calibration.conformity import DecisionRule
@@ -86,38 +86,12 @@ class SourcePart(ResultModel):
     correlation: Matrix
 
 
-class MagnitudePart(ResultModel):
-    """Uncertainty of a measured acceleration of one size, over all directions, g."""
-
-    magnitude_g: float
-    u_vector_mean: float
-    u_vector_max: float
-    u_modulus_mean: float
-    u_modulus_max: float
-    U_modulus_max: float
-    share: dict[str, float] = Field(description="part of the variance of the modulus, by source")
-
-
 class AccelerationPart(ResultModel):
     """Uncertainty of any measured acceleration."""
 
     range_g: float
     same_voltmeters: bool = Field(description="whether it is read with the voltmeters of the calibration")
-    magnitudes: list[MagnitudePart]
-
-
-class CheckedPoint(ResultModel):
-    """Δg at a verification point, g."""
-
-    angle_deg: float
-    point: int
-    u: float
-    dof: Dof
-    U: float
-    by_source: BySource
-    accepted_up_to: float
-    passes: float = Field(description="probability of acceptance")
-    capable: bool = Field(description="whether U is within what is accepted")
+    magnitudes: list[AtMagnitude]
 
 
 class VerificationPart(ResultModel):
@@ -133,7 +107,7 @@ class VerificationPart(ResultModel):
         description="probability of false acceptance that sets the guard band of the default rule; else null"
     )
     capable: bool | None = Field(description="whether every point is capable; null without points")
-    points: list[CheckedPoint]
+    points: list[DeltaG]
 
     @property
     def decision(self) -> DecisionRule:
@@ -267,14 +241,14 @@ def budget_result(
         acceleration=AccelerationPart(
             range_g=question.range_g,
             same_voltmeters=question.same_voltmeters,
-            magnitudes=[MagnitudePart.from_object(one) for one in found.accelerations],
+            magnitudes=list(found.accelerations),
         ),
         verification=VerificationPart.model_validate(
             {
                 **question.rule.to_json(),
                 "limit_g": question.limit_g,
                 "capable": found.capable,
-                "points": [CheckedPoint.from_object(point) for point in found.points],
+                "points": list(found.points),
             }
         ),
         monte_carlo=None if found.exact is None else _monte_carlo_part(found.exact),

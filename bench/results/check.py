@@ -19,7 +19,7 @@ from bench.config.procedure.plan import Plan, Read, Step, Turn
 from bench.config.procedure.steps import scan_in_words
 from bench.model.geometry import COEFFICIENTS
 from bench.planning.settings import Outlook, Remedy
-from bench.planning.until.outlook import QUANTILES, TimeOutlook
+from bench.planning.time_outlook import QUANTILES, TimeOutlook
 from bench.run.sentences import duration
 
 _REMEDIES_LISTED: Final = 2

@@ -30,6 +30,7 @@ from bench.config.shipped import find_procedure
 from bench.model.conditions import Mounting
 from bench.model.effects import CATALOGUE
 from bench.model.forward import ForwardModel
+from bench.planning.choice import REACHED, Chooser, Standing, scale_of, telling_apart
 from bench.planning.optimal_design import (
     Goal,
     Stand,
@@ -38,10 +39,7 @@ from bench.planning.optimal_design import (
     vector_goal,
     whole_goal,
 )
-from bench.planning.settings import Cost, Outlook, outlook, settings_of
-from bench.planning.until.choice import REACHED, Chooser, Standing, scale_of, telling_apart
-from bench.planning.until.outlook import TimeOutlook, time_outlook
-from bench.planning.until.pool import (
+from bench.planning.pool import (
     NO_GOAL,
     Aim,
     Floor,
@@ -54,6 +52,8 @@ from bench.planning.until.pool import (
     reached_by,
     with_hidden,
 )
+from bench.planning.settings import Cost, Outlook, outlook, settings_of
+from bench.planning.time_outlook import TimeOutlook, time_outlook
 from bench.readings.table import VERIFICATION
 from bench.results.check import (
     CheckResult,

@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from pydantic import Field
 from scipy import special
 
 from bench.base.arrays import Floats
 from bench.base.computing import tracked
+from bench.base.result_model import Real, ResultModel
 from bench.calibration.budget.coefficients import (
     Budget,
     Contribution,
@@ -173,21 +175,16 @@ def magnitudes(range_g: float) -> tuple[float, ...]:
     return (*(m for m in MAGNITUDES_G if m < range_g), range_g)
 
 
-@dataclass(frozen=True)
-class AtMagnitude:
-    """Uncertainties over all directions at one magnitude, g: mean and largest of vector and modulus.
-
-    `U_modulus` is the largest expanded uncertainty of the modulus; `share` each source's part of the mean
-    variance of the modulus.
-    """
+class AtMagnitude(ResultModel):
+    """Uncertainties over all directions at one magnitude, g: mean and largest of vector and modulus."""
 
     magnitude_g: float
     u_vector_mean: float
     u_vector_max: float
     u_modulus_mean: float
     u_modulus_max: float
-    U_modulus_max: float
-    share: dict[str, float]
+    U_modulus_max: float = Field(description="largest expanded uncertainty of the modulus")
+    share: dict[str, float] = Field(description="part of the mean variance of the modulus, by source")
 
 
 def over_directions(
@@ -200,40 +197,47 @@ def over_directions(
     parts = {n: float(np.mean(found.modulus_variance(c)[even])) for n, c in found.by_source.items()}
     total = sum(parts.values())
     return AtMagnitude(
-        magnitude_g,
-        float(found.u_vector[even].mean()),
-        float(found.u_vector.max()),
-        float(u[even].mean()),
-        float(u.max()),
-        float(np.max(factor * u)),
-        {name: part / total if total > 0.0 else 0.0 for name, part in parts.items()},
+        magnitude_g=magnitude_g,
+        u_vector_mean=found.u_vector[even].mean(),
+        u_vector_max=found.u_vector.max(),
+        u_modulus_mean=u[even].mean(),
+        u_modulus_max=u.max(),
+        U_modulus_max=np.max(factor * u),
+        share={name: part / total if total > 0.0 else 0.0 for name, part in parts.items()},
     )
 
 
 # --- delta g ----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class DeltaG:
-    """What the check at one verification point will be worth: u, U of delta g in local g, by source, decision.
-
-    `accepted_up_to` is the acceptance limit; `passes` the probability that a calibration without a mistake
-    passes here; `capable` that U is within the acceptance limit.
-    """
+class DeltaG(ResultModel):
+    """What the check at one verification point will be worth: u and U of delta g in local g, decision."""
 
     angle_deg: float
     point: int
     u: float
-    dof: float
+    dof: Real = Field(description="effective degrees of freedom; null for infinitely many")
     U: float
-    by_source: dict[str, float]
+    by_source: dict[str, float] = Field(description="standard uncertainty from each error alone")
     accepted_up_to: float
-    passes: float
+    passes: float = Field(description="probability that a calibration without a mistake passes here")
+    capable: bool = Field(description="whether U is within what is accepted")
 
-    @property
-    def capable(self) -> bool:
-        """Whether the check can be passed with the coverage probability of U."""
-        return self.accepted_up_to >= self.U
+
+def delta_g_variances(budget: Budget, *, reading: bool = True) -> Floats:
+    """Return the variances (v, sources) of delta g at the v verification points of the setup, local g².
+
+    Gain and gravity act on calibration and check alike and cancel; without `reading` the errors of the
+    coefficients stand alone.
+    """
+    setup = budget.setup
+    rows = np.flatnonzero(setup.verification)
+    by_coefficient, by_signal = modulus_slopes(setup.force[rows], setup.block)
+    functionals = np.einsum("vp,pni->vni", by_coefficient, budget.gain)
+    if reading:
+        functionals[np.arange(len(rows)), rows] += by_signal
+    parts = [parts_of(c.source, setup, functionals) for c in budget.contributions]
+    return np.stack([np.sum(part**2, axis=1) for part in parts], axis=1)
 
 
 def delta_g(
@@ -246,44 +250,31 @@ def delta_g(
 ) -> tuple[DeltaG, ...]:
     """Return the uncertainty of delta g at each verification point of the setup, and the decision that it allows.
 
-    Gain and gravity act on calibration and check alike and cancel; without `reading` the errors of the
-    coefficients stand alone. Raises `CalibrationError` for an unknown rule.
+    See `delta_g_variances`. Raises `CalibrationError` for an unknown rule.
     """
     setup, decision = budget.setup, DecisionRule.of(rule)
     rows = np.flatnonzero(setup.verification)
     if not len(rows):
         return ()
-    by_coefficient, by_signal = modulus_slopes(setup.force[rows], setup.block)
-    functionals = np.einsum("vp,pni->vni", by_coefficient, budget.gain)
-    if reading:
-        functionals[np.arange(len(rows)), rows] += by_signal
-    parts = [parts_of(c.source, setup, functionals) for c in budget.contributions]
-    variances = np.stack([np.sum(part**2, axis=1) for part in parts], axis=1)
-    u, dof = (
-        np.sqrt(variances.sum(axis=1)),
-        effective_dof(variances, [c.source.dof for c in budget.contributions]),
-    )
+    sources = [c.source for c in budget.contributions]
+    variances = delta_g_variances(budget, reading=reading)
+    u, dof = np.sqrt(variances.sum(axis=1)), effective_dof(variances, [source.dof for source in sources])
     expanded = coverage_factor(dof, budget.probability) * u
     limits = decision.acceptance_limit(limit_g, Known(u, expanded, dof, population)).tolist()
-    found = []
-    for i, row in enumerate(rows):
-        found.append(
-            DeltaG(
-                angle_deg=float(np.degrees(setup.conditions.angle_rad[row])),
-                point=int(setup.conditions.point[row]),
-                u=float(u[i]),
-                dof=float(dof[i]),
-                U=float(expanded[i]),
-                by_source=_named(budget.contributions, np.sqrt(variances[i])),
-                accepted_up_to=limits[i],
-                passes=_within(limits[i], float(u[i])),
-            )
+    return tuple(
+        DeltaG(
+            angle_deg=np.degrees(setup.conditions.angle_rad[row]),
+            point=setup.conditions.point[row],
+            u=u[i],
+            dof=dof[i],
+            U=expanded[i],
+            by_source=dict(zip((s.name for s in sources), np.sqrt(variances[i]).tolist(), strict=True)),
+            accepted_up_to=limits[i],
+            passes=_within(limits[i], float(u[i])),
+            capable=limits[i] >= expanded[i],
         )
-    return tuple(found)
-
-
-def _named(contributions: Sequence[Contribution], values: Floats) -> dict[str, float]:
-    return {c.source.name: float(v) for c, v in zip(contributions, values, strict=True)}
+        for i, row in enumerate(rows)
+    )
 
 
 def _within(limit: float, u: float) -> float:
@@ -335,15 +326,13 @@ def exact_readings(budget: Budget, trials: int, rng: np.random.Generator) -> Flo
 
 def _linear(budget: Budget) -> Propagated:
     """Coefficients and delta g as the linear budget has them; covariances between the two are left out."""
-    total = budget.combined
-    points = delta_g(budget, np.inf)
-    covariance = np.zeros((12 + len(points), 12 + len(points)))
+    total, variances = budget.combined, delta_g_variances(budget)
+    count = len(variances)
+    covariance = np.diag(np.concatenate([np.zeros(12), variances.sum(axis=1)]))
     covariance[:12, :12] = total.covariance
-    covariance[np.arange(12, len(covariance)), np.arange(12, len(covariance))] = [p.u**2 for p in points]
+    dof = effective_dof(variances, [c.source.dof for c in budget.contributions])
     return Propagated(
-        np.concatenate([total.value, np.zeros(len(points))]),
-        covariance,
-        np.concatenate([total.dof, [p.dof for p in points]]),
+        np.concatenate([total.value, np.zeros(count)]), covariance, np.concatenate([total.dof, dof])
     )
 
 

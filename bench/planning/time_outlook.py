@@ -15,9 +15,8 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.calibration.design import FIXED
 from bench.calibration.noise import LEAST_REPEATS
-from bench.planning.until.choice import BELIEVED, REACHED, Choice, Chooser, Scale, Standing
-from bench.planning.until.design import Visits
-from bench.planning.until.pool import NO_GOAL, Reached, Site
+from bench.planning.choice import BELIEVED, REACHED, Choice, Chooser, Scale, Standing
+from bench.planning.pool import NO_GOAL, Reached, Site, Visits
 
 DRAWS: Final = 100
 GRAIN: Final = 0.1

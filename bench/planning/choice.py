@@ -17,9 +17,8 @@ from bench.calibration.noise import LEAST_REPEATS, whiten
 from bench.model.conditions import Mounting
 from bench.model.effects import AppliedEffect, Effect
 from bench.planning.optimal_design import Stand, whitened
+from bench.planning.pool import NO_GOAL, Aim, Design, Grid, Point, Pool, Reached, Site, Task, Visits, enough
 from bench.planning.settings import Setting, conditions_of
-from bench.planning.until.design import Design, Grid, Task, Visits, enough
-from bench.planning.until.pool import NO_GOAL, Aim, Point, Pool, Reached, Site
 from bench.readings.table import Readings
 
 BELIEVED: Final = 6.0

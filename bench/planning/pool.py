@@ -1,0 +1,531 @@
+"""What a run until it is good enough may choose from, and which of it reaches the goals in the least time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from bench.base.arrays import Floats, Ints
+from bench.calibration.design import FIXED
+from bench.calibration.noise import LEAST_REPEATS
+from bench.calibration.result import CalibrationError
+from bench.config.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Settle, Turn, Wait
+from bench.model.conditions import Mounting
+from bench.planning.optimal_design import (
+    WITHOUT_NOISE,
+    ExchangeDesign,
+    Goal,
+    SettingPool,
+    Stand,
+    whitened,
+    widening,
+)
+from bench.planning.settings import Setting, conditions_of
+from bench.readings.table import UNORIENTED, VERIFICATION
+
+_LEFT_OUT_WITH_IT: Final = (Level, Mount, Wait, Settle)
+"""Steps that nobody needs where nothing is measured on a mounting."""
+
+
+class Site(NamedTuple):
+    """Where the head stands in a mounting, from which side it came: readings of one site are repeats."""
+
+    mount: Mounting
+    point: int
+    angle_rad: float
+    direction: int
+
+    def setting(self) -> Setting:
+        """Return it as a setting of the first pass."""
+        return Setting(self.mount, 1, self.point, self.angle_rad, self.direction)
+
+
+@dataclass(frozen=True)
+class Point:
+    """A turn with its readings: the steps of the plan, the site, the pass, the expected time.
+
+    Where it is read several times the site is that of the first reading, and stands for all.
+    """
+
+    steps: tuple[int, ...]
+    reads: tuple[int, ...]
+    site: Site
+    pass_number: int
+    time_s: float
+
+    @property
+    def last(self) -> int:
+        """Its last step."""
+        return self.steps[-1]
+
+
+@dataclass(frozen=True)
+class Visit:
+    """A mounting of the block with its points in the order of the plan.
+
+    `mount_step` mounts it (None where it stays on), `steps` are the visit's own beside the points, which take
+    `time_s`.
+    """
+
+    mount: Mounting
+    points: tuple[Point, ...]
+    mount_step: int | None
+    steps: tuple[int, ...]
+    time_s: float
+
+    @property
+    def first(self) -> int:
+        """The step at which it is decided what of it is done."""
+        return min(self.steps[:1] + self.points[0].steps[:1])
+
+
+@dataclass(frozen=True)
+class Pool:
+    """The visits of a plan in order, and what is done whatever is chosen.
+
+    `always_s` is the time of all else, `after_s` that of what follows on the last point.
+    """
+
+    visits: tuple[Visit, ...]
+    always_s: float
+    after_s: float
+
+    @property
+    def points(self) -> tuple[Point, ...]:
+        """All points in the order of the plan."""
+        return tuple(point for visit in self.visits for point in visit.points)
+
+    @property
+    def end(self) -> int:
+        """The step after the last point."""
+        return self.visits[-1].points[-1].last + 1
+
+    @property
+    def count(self) -> int:
+        """How many points there are to choose from."""
+        return len(self.points)
+
+    @property
+    def time_s(self) -> float:
+        """Expected time of the whole plan."""
+        return self.always_s + sum(p.time_s for p in self.points) + sum(visit.time_s for visit in self.visits)
+
+    def settings(self) -> list[Setting]:
+        """Return all settings in order."""
+        return [
+            Setting(p.site.mount, p.pass_number, p.site.point, p.site.angle_rad, p.site.direction)
+            for p in self.points
+        ]
+
+
+def pool_of(plan: Plan, line_hz: float = 50.0) -> Pool:
+    """Return what of a plan may be left out.
+
+    Raises `CalibrationError` for a plan that is no calibration at one temperature.
+    """
+    if any(isinstance(step, SetTemperature) for step in plan.steps):
+        raise CalibrationError(
+            f"{plan.name}: sets temperatures, and what is enough is told of a calibration at one temperature; "
+            "run it whole, or take a procedure without them"
+        )
+    found = _points(plan, line_hz)
+    if not found:
+        raise CalibrationError(
+            f"{plan.name}: has no reading in an installation of known orientation: nothing is to choose"
+        )
+    visits = _visits(plan, found, line_hz)
+    chosen = {i for point in found for i in point.steps} | {i for visit in visits for i in visit.steps}
+    other = {i: plan.step_duration_s(s, line_hz) for i, s in enumerate(plan.steps) if i not in chosen}
+    end = found[-1].last + 1
+    return Pool(visits, sum(other.values()), sum(s for i, s in other.items() if i >= end))
+
+
+def _points(plan: Plan, line_hz: float) -> list[Point]:
+    """Return the points; each ends with its last reading before the next turn."""
+    turns = [i for i, step in enumerate(plan.steps) if isinstance(step, Turn)]
+    found = []
+    for turn, following in zip(turns, [*turns[1:], len(plan.steps)], strict=True):
+        reads = []
+        for index in range(turn + 1, following):
+            step = plan.steps[index]
+            if isinstance(step, Read):
+                if _is_oriented(step):
+                    reads.append((index, step))
+            elif not isinstance(step, Wait | Settle):
+                break
+        if not reads:
+            continue
+        steps = tuple(range(turn, reads[-1][0] + 1))
+        mount = Mounting(reads[0][1].series, reads[0][1].installation)
+        first = reads[0][1]
+        site = Site(mount, first.point, float(first.target_rad or 0.0), first.direction or 0)
+        time_s = sum(plan.step_duration_s(plan.steps[i], line_hz) for i in steps)
+        found.append(Point(steps, tuple(i for i, _ in reads), site, first.pass_number, time_s))
+    return found
+
+
+def _is_oriented(read: Read) -> bool:
+    known = read.installation not in UNORIENTED and read.installation != VERIFICATION
+    return known and read.target_rad is not None
+
+
+def _visits(plan: Plan, found: Sequence[Point], line_hz: float) -> tuple[Visit, ...]:
+    visits = []
+    for mount in dict.fromkeys(point.site.mount for point in found):
+        own = tuple(point for point in found if point.site.mount == mount)
+        first, last = own[0].steps[0], own[-1].last
+        mounted = next(
+            (
+                i
+                for i, step in enumerate(plan.steps[:first])
+                if isinstance(step, Mount) and (step.series, step.installation) == mount
+            ),
+            None,
+        )
+        taken = {i for point in own for i in point.steps}
+        begins = first if mounted is None else mounted
+        if mounted is not None and mounted and isinstance(plan.steps[mounted - 1], Level):
+            begins = mounted - 1
+        steps = tuple(
+            i
+            for i in range(begins, last + 1)
+            if i not in taken and isinstance(plan.steps[i], _LEFT_OUT_WITH_IT)
+        )
+        time_s = sum(plan.step_duration_s(plan.steps[i], line_hz) for i in steps)
+        visits.append(Visit(mount, own, mounted, steps, time_s))
+    return tuple(visits)
+
+
+_NO_PART: Final = 1e-6
+NO_GOAL: Final = 1e-12
+"""Asked for where nothing is but a time: never reached."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A goal, of the readings' own uncertainty or of the `combined` one; `hidden` is the variance of the latter's
+    rest, which no reading lowers."""
+
+    goal: Goal
+    combined: bool = False
+    hidden: float = 0.0
+
+    @property
+    def ahead(self) -> Goal:
+        """The goal as a design is judged by it, from the covariance of the readings alone."""
+        return replace(self.goal, floor=self.goal.floor + self.hidden)
+
+    @property
+    def name(self) -> str:
+        """What it is called, with what counts in it."""
+        return f"combined u of {self.goal.name}" if self.combined else f"u of {self.goal.name}"
+
+
+@dataclass(frozen=True)
+class Aim:
+    """All that is wanted, and the bench time at most, s."""
+
+    wanted: tuple[Wanted, ...]
+    limit_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Reached:
+    """How far a goal is reached: u by now (or to come) and what is asked, in `unit`."""
+
+    name: str
+    u: float
+    asked: float
+    unit: str
+
+    @property
+    def ratio(self) -> float:
+        """The uncertainty in units of what is asked."""
+        return self.u / self.asked
+
+
+def reached_by(aim: Aim, readings: Floats, combined: Floats) -> tuple[Reached, ...]:
+    """Return what covariances (12, 12) of the coefficients, of the readings alone and combined, reach."""
+    return tuple(
+        Reached(w.name, w.goal.u(combined if w.combined else readings), w.goal.asked, w.goal.unit)
+        for w in aim.wanted
+    )
+
+
+@dataclass(frozen=True)
+class Floor:
+    """What no reading lowers: u of a goal that is asked for below it, and the largest parts by name."""
+
+    wanted: Wanted
+    u: float
+    parts: tuple[tuple[str, float], ...]
+
+
+def floors(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> list[Floor]:
+    """Return the goals below what endlessly many readings at the points of the pool would leave.
+
+    `stand` has what the readings' own uncertainty holds, `whole` what the combined one does. Raises
+    `CalibrationError` where the pool does not determine the coefficients.
+    """
+    readings, combined = (one.budget(pool.settings(), WITHOUT_NOISE) for one in (stand, whole))
+    found = []
+    for wanted in aim.wanted:
+        budget = combined if wanted.combined else readings
+        own = {c.source.name: wanted.goal.variance(c.covariance) for c in budget.contributions}
+        if wanted.goal.floor > 0:
+            own["the reading that is judged"] = wanted.goal.floor
+        u = float(np.sqrt(sum(own.values())))
+        if u >= wanted.goal.asked > NO_GOAL:
+            parts = sorted(((name, float(np.sqrt(v))) for name, v in own.items()), key=lambda part: -part[1])
+            found.append(Floor(wanted, u, tuple(p for p in parts if p[1] > _NO_PART * u)))
+    return found
+
+
+def with_hidden(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> Aim:
+    """Return the aim with the part of each combined goal that no reading lowers."""
+    if not any(wanted.combined for wanted in aim.wanted):
+        return aim
+    readings, combined = (
+        one.budget(pool.settings(), WITHOUT_NOISE).combined.covariance for one in (stand, whole)
+    )
+    relaxed = (replace(w, goal=w.goal.relaxed(w.goal.variance(combined))) for w in aim.wanted)
+    wanted = (replace(w, hidden=w.goal.variance(combined - readings)) if w.combined else w for w in relaxed)
+    return replace(aim, wanted=tuple(wanted))
+
+
+_DETERMINED: Final = 1e-2
+MOST_SUBSETS: Final = 5
+"""Of more mountings to come all are taken: their choices would be too many to weigh at each look."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The sites that were read or may be: whitened derivatives for the stand's noise as the bench file
+    states it."""
+
+    sites: tuple[Site, ...]
+    rows: Floats
+
+    @classmethod
+    def of(cls, stand: Stand, reads: Mapping[Site, int]) -> Grid:
+        """Make it of sites in their order, with how often each is read at a visit."""
+        rows, _ = whitened(stand, conditions_of([site.setting() for site in reads]))
+        often = np.sqrt(np.array(list(reads.values()), dtype=np.float64))
+        return cls(tuple(reads), rows * often[:, None, None])
+
+    def counts(self, of: Mapping[Site, int]) -> Ints:
+        """Return how often each site is meant, (c,)."""
+        return np.array([of.get(site, 0) for site in self.sites], dtype=np.int64)
+
+
+class Visits(ExchangeDesign):
+    """Visits to the sites, at least those that were made, at most those that the plan has.
+
+    The noise is told by repeats as soon as there are enough of them, as a calibration has it.
+    """
+
+    _known: tuple[bytes, Floats] | None = None
+
+    def covariance(self, counts: Floats | Ints | None = None) -> Floats:
+        """As its base has it; that of the visits as they stand is kept until one changes."""
+        if counts is not None:
+            return super().covariance(counts)
+        key = self.counts.tobytes()
+        if self._known is None or self._known[0] != key:
+            self._known = key, super().covariance()
+        return self._known[1]
+
+    def _variances(self, covariance: Floats) -> Floats:
+        """As its base has it, without looking for an order of the products each time."""
+        own = covariance[:FIXED, :FIXED]
+        each = np.sum((self._functionals @ own) * self._functionals, axis=1)
+        return np.asarray(np.bincount(self._goal, each) + self._floor)
+
+    @property
+    def repeats(self) -> int:
+        """How many visits repeat an earlier one."""
+        return int(np.sum(np.maximum(self.counts - 1, 0)))
+
+    @property
+    def determined(self) -> bool:
+        """Whether these visits determine the coefficients, and not their weak prior alone."""
+        return bool(np.max(np.diag(self.coefficient_covariance)) < _DETERMINED)
+
+    @property
+    def wider(self) -> float:
+        """How much larger u is since the noise is an estimate."""
+        return widening(self._freedom)
+
+    @property
+    def _freedom(self) -> float:
+        """Degrees of freedom of the reading noise: two of three signals tell of it, the third of the setting."""
+        if self.repeats >= LEAST_REPEATS:
+            return 2.0 * self.repeats
+        return 2.0 * (3 * self.settings - len(self._prior)) / 3.0
+
+    @property
+    def largest(self) -> float:
+        """The largest ratio of an uncertainty to what is asked."""
+        return self._largest(self.variances)
+
+    @property
+    def variances(self) -> Floats:
+        """The variance of each goal, (goals,), the noise widened."""
+        own = self._variances(self.covariance()) - self._floor
+        return np.asarray(self.wider**2 * own + self._floor)
+
+    def is_enough(self, repeats: int) -> bool:
+        """Whether all goals are reached with at least so many repeats."""
+        return self.repeats >= repeats and self.largest <= 1.0
+
+    @property
+    def is_full(self) -> bool:
+        """Whether nothing is left to visit."""
+        return bool(np.all(self.counts >= self._most))
+
+    def add_repeat(self) -> bool:
+        """Repeat the visited site that helps most; false where none can be."""
+        gain = self._after(self.covariance(), 1.0, 8.0)
+        able = (self.counts > 0) & (self.counts < self._most)
+        if able.any():
+            self.counts[int(np.argmin(np.where(able, gain, np.inf)))] += 1
+        return bool(able.any())
+
+    def drop_needless(self, repeats: int) -> None:
+        """Leave out visits, those that matter least first, as long as all is reached without them."""
+        dropped = True
+        while dropped:
+            dropped = False
+            loss = self._after(self.covariance(), -1.0, 40.0)
+            able = self.counts > self._least
+            if self.repeats == repeats:  # a repeat cannot be spared
+                able &= self.counts == 1
+            for leave in sorted(np.flatnonzero(able & np.isfinite(loss)), key=loss.__getitem__):
+                if loss[leave] > 1.0:
+                    break
+                self.counts[leave] -= 1
+                if self.is_enough(repeats):
+                    dropped = True
+                    break
+                self.counts[leave] += 1
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a design is made from: the grid, what was done and how often each site can still be visited.
+
+    `scale` is the noise in units of what the bench file states, `site_s` (c,) the time of a visit to each site,
+    `mount_s` what mounting takes where the block is not on yet, `repeats` the least number of repeats,
+    `limit_s` the time that is left at most.
+    """
+
+    grid: Grid
+    goals: tuple[Goal, ...]
+    done: Ints
+    left: Ints
+    scale: float
+    site_s: Floats
+    mount_s: Mapping[Mounting, float]
+    repeats: int
+    limit_s: float = float("inf")
+
+    @property
+    def candidates(self) -> SettingPool:
+        """The grid in units of the noise; the angles of the stand keep those of their priors."""
+        return SettingPool(self.grid.rows / self.scale)
+
+    def time_s(self, counts: Ints) -> float:
+        """Return the time of what `counts` (c,) has beyond what was done."""
+        more = counts - self.done
+        mounts = {self.grid.sites[i].mount for i in np.flatnonzero(more)}
+        return float(more @ self.site_s) + sum(self.mount_s.get(mount, 0.0) for mount in mounts)
+
+    def least_repeats(self) -> int:
+        """The least number of repeats, or all that there can be."""
+        return min(self.repeats, int(np.sum(np.maximum(self.done + self.left - 1, 0))))
+
+
+@dataclass(frozen=True)
+class Design:
+    """Visits (c,) to each site in the end, those done among them; whether the goals are reached then."""
+
+    counts: Ints
+    reached: bool
+    time_s: float
+    variances: Floats
+
+
+def enough(task: Task) -> Design:
+    """Return the visits that reach the goals in the least time found; all that there is where nothing does.
+
+    What time allows is the most that is taken.
+    """
+    ahead = [mount for mount in task.mount_s if np.any(task.left[_of(task.grid, mount)])]
+    subsets = [tuple(ahead)]
+    if len(ahead) <= MOST_SUBSETS:
+        subsets = [some for n in range(len(ahead) + 1) for some in combinations(ahead, n)]
+    found = [design for some in subsets if (design := _within(task, ahead, some)) is not None]
+    reached = [design for design in found if design.reached]
+    if reached:
+        return min(reached, key=lambda design: design.time_s)
+    return _all_of(task)
+
+
+def _of(grid: Grid, mount: Mounting) -> Ints:
+    return np.flatnonzero(np.array([site.mount == mount for site in grid.sites], dtype=np.bool_))
+
+
+def _within(task: Task, ahead: Sequence[Mounting], chosen: Sequence[Mounting]) -> Design | None:
+    """The design that goes to some of the mountings ahead; None where that can never be enough."""
+    left = task.left.copy()
+    for mount in ahead:
+        if mount not in chosen:
+            left[_of(task.grid, mount)] = 0
+    most, repeats = task.done + left, task.least_repeats()
+    if not Visits(task.candidates, task.goals, most, task.done, most).is_enough(repeats):
+        return None
+    design = _greedy(task, most, repeats, wide=True)
+    if design.repeats == repeats:  # these decide, and fewer sites have more of them
+        design = min(
+            design, _greedy(task, most, repeats, wide=False), key=lambda one: task.time_s(one.counts)
+        )
+    time_s = task.time_s(design.counts)
+    return None if time_s > task.limit_s else Design(design.counts, True, time_s, design.variances)
+
+
+def _greedy(task: Task, most: Ints, repeats: int, *, wide: bool) -> Visits:
+    """Add what helps most until it is enough, then leave out what is not needed.
+
+    Repeats are added last where the sites are to be as many as help (`wide`), else as soon as the coefficients are
+    determined at all.
+    """
+    design = Visits(task.candidates, task.goals, task.done, task.done, most)
+    while not design.is_enough(repeats):
+        first = design.largest > 1.0 if wide else not design.determined
+        if first or design.repeats >= repeats or not design.add_repeat():
+            design.add_best()
+    design.drop_needless(repeats)
+    return design
+
+
+def _all_of(task: Task) -> Design:
+    """All that is left, or the best of it that the time allows: repeats are kept as far as it does."""
+    most = task.done + task.left
+    if task.time_s(most) <= task.limit_s:
+        whole = Visits(task.candidates, task.goals, most, task.done, most)
+        return Design(most, False, task.time_s(most), whole.variances)
+    design = Visits(task.candidates, task.goals, task.done, task.done, most)
+    needed = -(-(len(design.covariance()) + FIXED) // 3)
+    while not design.is_full:
+        before = design.counts.copy()
+        short = task.least_repeats() - design.repeats
+        if short <= 0 or design.settings < needed or not design.add_repeat():
+            design.add_best()
+        if task.time_s(design.counts) > task.limit_s:
+            design.counts = before
+            break
+    return Design(design.counts, False, task.time_s(design.counts), design.variances)
