@@ -18,6 +18,7 @@ from sim.wires.session import WireFault
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
 from tests.support.procedure_texts import TWO_INSTALLATIONS
+from tests.support.runner_bench import interrupt_at
 from tests.support.simulated_stand import a_34401a
 
 SHIPPED = Path(__file__).parents[2] / "config" / "paper-stand.yaml"
@@ -258,7 +259,7 @@ def test_interrupted_anywhere_a_dry_run_resumes_to_the_undisturbed_readings(tmp_
     for moment, event in enumerate((5, 12, 13, 14, 40, 66)):
         name = f"cut{moment}"
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("bench.run.runner.Runner._emit", _interrupt_at(event))
+            patch.setattr("bench.run.runner.Recorder.emit", interrupt_at(event))
             status, _, err = command(capsys, "run", "two.yaml", "--dry-run", "--name", name, "--seed", 5)
         assert status == 2
         assert f"bench resume {name}" in err
@@ -267,19 +268,3 @@ def test_interrupted_anywhere_a_dry_run_resumes_to_the_undisturbed_readings(tmp_
         assert np.array_equal(resumed.signal, whole.signal)
         assert np.array_equal(resumed.angle_rad, whole.angle_rad)
         assert np.array_equal(resumed.time_s, whole.time_s)
-
-
-def _interrupt_at(event):
-    """A runner's `_emit` that is hit by Ctrl-C right after it wrote the n-th event, once."""
-    from bench.run.runner import Runner
-
-    original = Runner._emit
-    left = [event]
-
-    def emit(self, kind, **data):
-        original(self, kind, **data)
-        left[0] -= 1
-        if left[0] == 0:
-            raise KeyboardInterrupt
-
-    return emit

@@ -244,7 +244,7 @@ def test_the_guard_band_is_two_u():
         assert point.accepted_up_to == pytest.approx(limit - 2 * point.u)
         assert point.passed is bool(abs(point.delta_g) <= limit - 2 * point.u)
     assert [p.passed for p in guarded.points] == [True, False, True, True]
-    assert guarded.to_json()["rule"] == "guarded"
+    assert guarded.decision.name == "guarded"
     assert not guarded.passed
 
 

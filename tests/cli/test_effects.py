@@ -9,6 +9,7 @@ import pytest
 from bench.config.shipped import find_bench
 from bench.model.effects import CATALOGUE
 from bench.run.folder import Run
+from tests.support.runner_bench import interrupt_at
 
 LOOKING_BACK = """\
 model_file: 1
@@ -31,27 +32,11 @@ def test_a_resumed_dry_run_remembers_what_was_read_before(bench, monkeypatch):
     dry_run = ("run", "quick", "--dry-run", "--seed", "5")
     assert bench(*dry_run, "--name", "whole", "--model", "model.yaml")[0] in {0, 1}
     with monkeypatch.context() as patch:
-        patch.setattr("bench.run.runner.Runner._emit", interrupt_at(60))
+        patch.setattr("bench.run.runner.Recorder.emit", interrupt_at(60))
         assert bench(*dry_run, "--name", "cut", "--model", "model.yaml")[0] == 2
     assert bench("resume", "cut")[0] in {0, 1}
     whole, resumed = (Run(Path("runs") / name).readings() for name in ("whole", "cut"))
     np.testing.assert_allclose(resumed.signal, whole.signal, rtol=0, atol=3e-8)
-
-
-def interrupt_at(event):
-    """A runner's `_emit` that is hit by Ctrl-C right after it wrote the n-th event, once."""
-    from bench.run.runner import Runner
-
-    original = Runner._emit
-    left = [event]
-
-    def emit(self, kind, **data):
-        original(self, kind, **data)
-        left[0] -= 1
-        if left[0] == 0:
-            raise KeyboardInterrupt
-
-    return emit
 
 
 @pytest.mark.slow

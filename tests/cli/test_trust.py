@@ -36,16 +36,16 @@ def test_a_verification_point_that_is_missing_is_not_passed_over(bench, measured
 
 @pytest.mark.slow
 def test_a_run_that_stopped_before_its_last_points_is_not_verified(bench, monkeypatch):
-    from bench.run.runner import Runner
+    from bench.run.runner import Recorder
 
-    original = Runner._emit
+    original = Recorder.emit
 
     def emit(self, kind, **data):
         original(self, kind, **data)
         if data.get("key", "").endswith("read/V.1.2") and kind == "step_done":
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(Runner, "_emit", emit)
+    monkeypatch.setattr(Recorder, "emit", emit)
     assert bench("run", "quick", "--dry-run", "--name", "part")[0] == 2
     status, out, _ = bench("verify", "part")
     assert status == 1

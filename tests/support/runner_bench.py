@@ -8,6 +8,7 @@ from typing import Any
 
 from bench.base.arrays import CHANNELS
 from bench.config.procedure.plan import Ask, Mount, OnFailure, Plan, Read, Step, Turn, Wait
+from bench.run.events import EventType
 from bench.run.instruments import Instruments
 from bench.run.record import History, Record, read_history
 from bench.run.runner import People, Recorder, Runner
@@ -151,3 +152,17 @@ def recorded(folder: Path) -> tuple[History, list[str], list[dict[str, Any]]]:
     assert history.problems == ()
     done = [e for e in history.events if e.type == "step_done" and "reading" in e.data]
     return history, [e.data["key"] for e in done], [e.data["reading"] for e in done]
+
+
+def interrupt_at(event: int) -> Any:
+    """`Recorder.emit` that is hit by Ctrl-C right after it wrote the n-th event, once."""
+    original = Recorder.emit
+    left = [event]
+
+    def emit(self: Recorder, kind: EventType, **data: Any) -> None:
+        original(self, kind, **data)
+        left[0] -= 1
+        if left[0] == 0:
+            raise KeyboardInterrupt
+
+    return emit
