@@ -152,27 +152,6 @@ def test_coefficients_of_a_calibration_take_the_place_of_the_bench_files(bench):
     assert told["coefficients"]["Kyy"]["value"] == calibrated["Kyy"]["value"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (("--estimator", "kalman"), "no estimator 'kalman'"),
-        (("--rule", "lenient"), "no decision rule 'lenient'"),
-        (("--limit", "-1"), "a limit is a positive number of g"),
-        (("--trials", "10"), "--trials: 10 trials are too few"),
-        (("--g", "98"), "local gravity lies between"),
-        (("--procedure", "turn-12", "--estimator", "closed-form"), "the closed form (8)"),
-        (("--procedure", "stability"), "do"),
-        (("--procedure", "nothing.yaml"), "nothing.yaml"),
-        (("--json", "no/such/folder.json"), "no such folder"),
-    ],
-)
-def test_what_cannot_be_done_is_one_line(bench, arguments, told):
-    code, out, err = bench("budget", *arguments)
-    assert code == 2
-    assert out == ""
-    assert told in one_line(err)
-
-
 def test_a_singular_block_has_no_budget(bench):
     write_csv(simulate(np.random.default_rng(1), 1e-4), Path("unit.csv"))
     assert bench("calibrate", "unit.csv", "--json", "unit.json")[0] == 0
