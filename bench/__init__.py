@@ -32,16 +32,18 @@ if TYPE_CHECKING:
     from bench.services.check_block import chart as chart
     from bench.services.confirmation import ConfirmationResult as ConfirmationResult
     from bench.services.diagnosis import DiagnosisResult as DiagnosisResult
+    from bench.services.diagnosis import FreeDiagnosisResult as FreeDiagnosisResult
+    from bench.services.diagnosis import MistakesResult as MistakesResult
     from bench.services.errors import Refused as Refused
     from bench.services.face import DryRun as DryRun
     from bench.services.face import calibrate as calibrate
     from bench.services.face import confirm as confirm
     from bench.services.face import diagnose as diagnose
+    from bench.services.face import diagnose_each as diagnose_each
     from bench.services.face import dry_run as dry_run
     from bench.services.face import load_bench as load_bench
     from bench.services.face import read_readings as read_readings
     from bench.services.face import verify as verify
-    from bench.services.free_diagnosis import FreeDiagnosisResult as FreeDiagnosisResult
     from bench.services.learning import LearningResult as LearningResult
     from bench.services.learning import learn as learn
     from bench.services.verification import VerificationResult as VerificationResult
@@ -54,12 +56,12 @@ _HOMES: Final = {
     "bench.results.control_chart": ("CheckBlockChart",),
     "bench.services.check_block": ("chart",),
     "bench.services.confirmation": ("ConfirmationResult",),
-    "bench.services.diagnosis": ("DiagnosisResult",),
+    "bench.services.diagnosis": ("DiagnosisResult", "FreeDiagnosisResult", "MistakesResult"),
     "bench.services.errors": ("Refused",),
     "bench.services.face": (
-        "DryRun", "calibrate", "confirm", "diagnose", "dry_run", "load_bench", "read_readings", "verify",
+        "DryRun", "calibrate", "confirm", "diagnose", "diagnose_each", "dry_run", "load_bench",
+        "read_readings", "verify",
     ),
-    "bench.services.free_diagnosis": ("FreeDiagnosisResult",),
     "bench.services.learning": ("LearningResult", "learn"),
     "bench.services.verification": ("VerificationResult",),
     "bench.base.yaml_files": ("FileMistakes",),

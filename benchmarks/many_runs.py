@@ -30,7 +30,8 @@ def measure(runs: int, blocks: bool) -> tuple[float, float, str]:
     from bench.diagnosis import ThresholdCache
     from bench.diagnosis.full import diagnose_fully
     from bench.model import ForwardModel
-    from bench.results.diagnosis.page import render_diagnosis
+    from bench.results.diagnosis_page import render_diagnosis
+    from bench.results.diagnosis_words import NO_FILES
     from benchmarks.blind_trial.cases import Row, make_case
 
     case, _ = make_case(SEED, Row("single", rho=RHO, runs=runs, blocks=blocks), 0)
@@ -40,7 +41,7 @@ def measure(runs: int, blocks: bool) -> tuple[float, float, str]:
         case.readings, model, bench, G_M_S2, ThresholdCache(None), source="many", simulated=False,
         stated=False,
     )  # fmt: skip
-    render_diagnosis(full, "many", bench.verification_limit_g, {"model": model.name})
+    render_diagnosis(full, NO_FILES, "many", bench.verification_limit_g, {"model": model.name})
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     return time.process_time(), peak, full.diagnosis.verdict
 

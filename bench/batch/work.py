@@ -18,14 +18,13 @@ from bench.base.text import visible
 from bench.batch.job import CALIBRATE_FILE, DIAGNOSE, DIAGNOSE_FILE, REPORT, VERIFY_FILE, Job, Row
 from bench.calibration.result import LACK_OF_FIT_P
 from bench.config.formulas import effects_in
-from bench.diagnosis.full import TooLittleLeft
 from bench.model import CATALOGUE, Effect
 from bench.model.geometry import COEFFICIENTS
 from bench.run.events import RecordError, read_manifest, sha256
+from bench.services.bodies import body_of
 from bench.services.calibration import CalibrationResult, calibration_of, report_page, verification_of
-from bench.services.diagnosis import body_of, diagnosis_of
+from bench.services.diagnosis import diagnosis_of
 from bench.services.errors import sentence
-from bench.services.free_diagnosis import free_diagnosis_of, free_sources
 from bench.services.source import Source, load_sources
 from bench.services.verification import VerificationResult
 
@@ -180,12 +179,7 @@ def _diagnosed(source: Source) -> Row:
 
 
 def _diagnosis(source: Source) -> dict[str, Any]:
-    if free_sources([source]):
-        return free_diagnosis_of([source]).to_dict()
-    try:
-        return diagnosis_of(body_of([source]).source).to_dict()
-    except TooLittleLeft as found:
-        return found.to_dict(source.name)
+    return diagnosis_of(body_of([source])).to_dict()
 
 
 # --- earlier results, and what changed ----------------------------------------------------------------

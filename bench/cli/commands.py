@@ -60,6 +60,7 @@ MODULES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("check", "init", "budget", "require", "plan-points"), "planning"),
     **dict.fromkeys(("run", "resume", "abort", "control"), "measure"),
     **dict.fromkeys(("chart", "compare", "learn", "stability"), "history"),
+    **dict.fromkeys(("confirm", "accept"), "diagnose"),
 }
 """The module of this room that holds a command, where it is not the one of its name."""
 

@@ -14,12 +14,12 @@ from bench.cli.options import RUNS, JsonOption, LatestRun, RunArgument, RunsOpti
 from bench.cli.panel import link_to
 from bench.cli.requested import requested
 from bench.services.errors import Refused
+from bench.services.requests.diagnosis import Diagnose
 from bench.services.requests.measuring import ResumeRequest, RunRequest
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bench.diagnosis.full import FullDiagnosis
     from bench.diagnosis.next_measurement import Proposal
     from bench.run.folder import Run
     from bench.run.listening import Interrupts
@@ -172,7 +172,7 @@ def _follow(run: Run, request: RunRequest) -> int:
     from bench.run.folder import Run as RunFolder
 
     out = printing.console()
-    proposal = _diagnosed([run]).next_measurement
+    proposal = _diagnosed([run])
     if proposal is None:
         out.print(f"{run.name}: no procedure would tell more")
         return 0
@@ -188,16 +188,18 @@ def _follow(run: Run, request: RunRequest) -> int:
     return status
 
 
-def _diagnosed(runs: list[Run]) -> FullDiagnosis:
-    """Diagnose runs as one body of data and print it; the last run's folder keeps the JSON."""
-    from bench.cli.diagnose import diagnosed
-    from bench.services.source import Request, done
+def _diagnosed(runs: list[Run]) -> Proposal | None:
+    """Diagnose runs as one body of data and print it; return what to measure next.
 
-    names = [str(run.folder) for run in runs]
-    request = Request(names, runs[0].folder.parent)
+    The last run's folder keeps the JSON.
+    """
+    from bench.cli.diagnose import carried_out
+    from bench.services.source import done
+
+    request = Diagnose([str(run.folder) for run in runs], runs=runs[0].folder.parent)
     file = runs[-1].folder / ("diagnose-together.json" if len(runs) > 1 else "diagnose.json")
-    (result,) = done(diagnosed(request, str(file), together=len(runs) > 1))
-    return result
+    (result,) = done(carried_out(request, str(file), together=True))
+    return result.next_measurement
 
 
 def _agreed(proposal: Proposal, out: Console) -> bool:

@@ -213,7 +213,7 @@ class _Teller:
             name=variant.family,
             channels=tuple(CHANNELS[c] for c in variant.channels),
             cannot_tell_from=one.ties,
-            values=tuple(value for each in applied for value in _values(each)),
+            parameters=tuple(value for each in applied for value in _values(each)),
             p=p,
             p_all_looks=max(p, self.limit.p(one.total)),
             rho=rho,

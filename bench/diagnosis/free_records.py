@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -299,21 +299,6 @@ class BetweenRecords:
             f"{text}; the cause is not determined; held out by record the ratio is {self.held_before:.3g} with "
             f"zeros that stay and {self.held_after:.2g} with zeros of each record"
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the numbers; NaN is null."""
-
-        def plain(values: Floats) -> Any:
-            return np.where(np.isfinite(values), values, None).tolist()  # type: ignore[call-overload]
-
-        return {
-            "ratio": self.ratio,
-            "scatter_g": plain(self.scatter),
-            "common_part": plain(self.common),
-            "held_out": {"by": "record", "before": self.held_before, "after": self.held_after},
-            "zeros_g": plain(self.zero),
-            "u_g": plain(self.u),
-        }
 
 
 def between_records(rows: FreeRows, tables: Sequence[Readings]) -> BetweenRecords | None:

@@ -9,10 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from bench.base.arrays import Floats, Ints
-from bench.base.numbers import without_infinity
 from bench.diagnosis.free_records import OWN, BetweenRecords, FreeRows
 from bench.diagnosis.gap import Gap
-from bench.diagnosis.result import EffectValue, Verdict, nested
+from bench.diagnosis.result import EffectValue, Verdict
 from bench.model import CATALOGUE, AppliedEffect, Block
 
 OUTLIER: Final = "outlier"
@@ -28,7 +27,7 @@ class FreeFound:
     name: str
     channels: tuple[str, ...]
     cannot_tell_from: tuple[str, ...]
-    values: tuple[EffectValue, ...]
+    parameters: tuple[EffectValue, ...]
     p: float
     p_all_looks: float
     rho: float
@@ -36,27 +35,9 @@ class FreeFound:
     applied: tuple[AppliedEffect, ...] = ()
 
     @property
-    def parameters(self) -> dict[str, Any]:
-        """The values by sensor (where each has its own), parameter and channel."""
-        return nested(self.values)
-
-    @property
     def in_catalogue(self) -> bool:
         """Whether it has a name."""
         return self.name in CATALOGUE
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "name": self.name,
-            "channels": list(self.channels),
-            "cannot_tell_from": list(self.cannot_tell_from),
-            "parameters": self.parameters,
-            "p": self.p,
-            "p_all_looks": self.p_all_looks,
-            "rho": self.rho,
-            "words": self.words,
-        }
 
 
 @dataclass(frozen=True)
@@ -124,34 +105,6 @@ class FreeDiagnosis:
     def alike(self) -> bool:
         """Whether all that was found is the same in all sensors."""
         return not any(a.installations for one in self.found for a in one.applied)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the promised result; what free positions alone cannot have is null or empty."""
-        nothing: dict[str, Any] = {
-            "channels": [],
-            "cannot_tell_from": [],
-            "parameters": {},
-            "p": None,
-            "p_all_looks": None,
-        }
-        outliers = [{"name": OUTLIER, **nothing, "words": words} for words in self.apart]
-        whole: dict[str, Any] = {
-            "verdict": self.verdict,
-            "where": [dict(one) for one in self.where],
-            "effects": [*outliers, *(one.to_dict() for one in self.found)],
-            "next_measurement": None,
-            "hidden": [name for name, effect in CATALOGUE.items() if effect.subsystem.value != "block"],
-            "gap": self.gap.to_dict(),
-            "model": None,
-            "noise": {"reading": self.noise_g, "unit": "g", "stated": self.stated_g, "dof": self.freedom},
-            "between_records": None if self.between is None else self.between.to_dict(),
-            "sensors": self.rows.sensors,
-            "records": self.records,
-            "threshold": self.threshold,
-            "notes": list(self.notes),
-            "source": self.source,
-        }
-        return {key: without_infinity(value) for key, value in whole.items()}
 
 
 def place_of(sensor: int) -> slice:

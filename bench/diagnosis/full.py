@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.base.numbers import without_infinity
 from bench.calibration.design import FIXED
-from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile
 from bench.diagnosis.candidates import NOTHING_KNOWN, KnownBench
 from bench.diagnosis.mistakes.search import Mistake
@@ -20,7 +17,7 @@ from bench.diagnosis.naming import Scored
 from bench.diagnosis.next_measurement import Proposal, propose
 from bench.diagnosis.pipeline import diagnose
 from bench.diagnosis.posterior import posterior
-from bench.diagnosis.result import Diagnosis, mistake_to_dict
+from bench.diagnosis.result import Diagnosis
 from bench.diagnosis.show import Shown, contradicted, show
 from bench.diagnosis.threshold import ThresholdCache
 from bench.model.forward import ForwardModel
@@ -48,16 +45,6 @@ class Rival:
         """The coefficient that would change most, and by how many u."""
         worst = int(np.argmax(np.abs(self.shift)))
         return COEFFICIENTS[worst % FIXED], float(self.shift[worst])
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the evidence and the coefficient that would change most."""
-        coefficient, in_u = self.largest_shift
-        return {
-            "name": self.family,
-            "ln_odds": self.evidence,
-            "tied": self.tied,
-            "largest_shift": {"coefficient": coefficient, "in_u": in_u},
-        }
 
 
 def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
@@ -99,9 +86,7 @@ class FullDiagnosis:
     """What `bench diagnose` finds out of one body of readings; JSON, terminal and page are told from it.
 
     `ranking` has for each effect that was found the families in its place; `skipped_rows` names rows of the
-    source that could not be read. `model`, `report` and `copy`, the readings with mistakes put right, are files
-    that were written; `corrections` is what is known of the instruments' certificates. Of several blocks
-    `shown` is the first and `blocks` are all.
+    source that could not be read. Of several blocks `shown` is the first and `blocks` are all.
     """
 
     source: str
@@ -111,120 +96,30 @@ class FullDiagnosis:
     shown: Shown
     ranking: tuple[tuple[Rival, ...], ...]
     next_measurement: Proposal | None
-    model: Path | None = None
-    report: Path | None = None
-    copy: Path | None = None
-    bench: Mapping[str, str] | None = None
-    corrections: Sequence[Mapping[str, Any]] = ()
     blocks: tuple[Shown, ...] = ()
 
     def rivals_of(self, effect: int) -> tuple[Rival, ...]:
         """Return the ranking of the effect of this number; nothing where it was not ranked."""
         return self.ranking[effect] if effect < len(self.ranking) else ()
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the promised result; null stands for what is no finite number, as JSON has none."""
-        shown = self.shown
-        blocks = [_of_block(one) for one in self.blocks]
-        whole = self.diagnosis.to_dict() | {
-            "next_measurement": None if self.next_measurement is None else self.next_measurement.to_dict(),
-            "model": None if self.model is None else str(self.model),
-            "simulation": {
-                "before": shown.before.to_dict(),
-                "after": None if shown.after is None else shown.after.to_dict(),
-            },
-            "coefficients": {name: asdict(change) for name, change in shown.coefficients.items()},
-            "ranking": [[rival.to_dict() for rival in one] for one in self.ranking],
-            "source": self.source,
-            "bench": None if self.bench is None else dict(self.bench),
-            "corrections": [dict(one) for one in self.corrections],
-            "simulated": self.simulated,
-            "skipped_rows": list(self.skipped_rows),
-            "report": None if self.report is None else str(self.report),
-            "corrected": self._corrected(),
-            **({"blocks": blocks} if blocks else {}),
-        }
-        return {key: without_infinity(value) for key, value in whole.items()}
 
-    def _corrected(self) -> dict[str, Any] | None:
-        """Return what the search on a copy with mistakes put right came to; None where there is no mistake."""
-        mistakes = self.diagnosis.mistakes
-        if not mistakes.mistakes:
-            return None
-        return {
-            "readings": None if self.copy is None else str(self.copy),
-            "used": len(mistakes.corrected),
-            "verdict": self.diagnosis.of_copy,
-            "rests_on": [mistake.words for mistake in mistakes.mistakes],
-        }
+@dataclass(frozen=True)
+class MistakesAlone:
+    """A diagnosis that ended with mistakes: what they leave does not determine the coefficients.
 
-
-def _of_block(shown: Shown) -> dict[str, Any]:
-    """Return what is shown of one of several blocks: its mountings, its coefficients, the test of its readings."""
-    return {
-        "mountings": [str(mount) for mount in shown.before.calibration.fitted.conditions().mounts],
-        "coefficients": {name: asdict(change) for name, change in shown.coefficients.items()},
-        "p_before": shown.before.test.p,
-        "p_after": None if shown.after is None else shown.after.test.p,
-    }
-
-
-class TooLittleLeft(CalibrationError):
-    """Mistakes are known and put right, and what is left, `corrected`, does not determine the coefficients.
-
-    `copy` is the file of what is left, where it was written.
+    `corrected` are the readings with the mistakes put right, `reason` says what is missing in them.
     """
 
-    def __init__(
-        self, mistakes: Sequence[Mistake], reason: str, corrected: Readings, *, simulated: bool
-    ) -> None:
-        self.mistakes = tuple(mistakes)
-        self.corrected = corrected
-        self.copy: Path | None = None
-        self.simulated = simulated
-        self.bench: Mapping[str, str] | None = None
-        self.corrections: Sequence[Mapping[str, Any]] = ()
-        self.reason = reason
-        told = "; ".join(mistake.words for mistake in mistakes)
-        super().__init__(f"a mistake: {told}; put right, {reason}")
+    source: str
+    simulated: bool
+    mistakes: tuple[Mistake, ...]
+    corrected: Readings
+    reason: str
 
-    def to_dict(self, source: str) -> dict[str, Any]:
-        """Return the promised result: the mistakes, and null or nothing where there is no fit."""
-        found = [without_infinity(mistake_to_dict(mistake)) for mistake in self.mistakes]
-        return {
-            "verdict": "mistake",
-            "where": [],
-            "effects": found,
-            "next_measurement": None,
-            "hidden": [],
-            "hidden_parts": {},
-            "absent": {},
-            "unseen_per_turn": [],
-            "verification_orientation": None,
-            "gap": None,
-            "model": None,
-            "noise": None,
-            "p_left": None,
-            "form": None,
-            "detectable": {},
-            "registered": None,
-            "notes": [f"put right, {self.reason}"],
-            "simulation": None,
-            "coefficients": {},
-            "ranking": [],
-            "source": source,
-            "simulated": self.simulated,
-            "skipped_rows": [],
-            "bench": None if self.bench is None else dict(self.bench),
-            "corrections": [dict(one) for one in self.corrections],
-            "report": None,
-            "corrected": {
-                "readings": None if self.copy is None else str(self.copy),
-                "used": len(self.corrected),
-                "verdict": None,
-                "rests_on": [mistake.words for mistake in self.mistakes],
-            },
-        }
+    @property
+    def words(self) -> str:
+        """The mistakes and what is missing without them, in a sentence."""
+        return f"a mistake: {'; '.join(one.words for one in self.mistakes)}; put right, {self.reason}"
 
 
 def diagnose_fully(
@@ -246,18 +141,13 @@ def diagnose_fully(
     that are put right in them already, `nominal` (blocks, 3) the scale factors of several blocks where they are
     not all that of the bench file. Where nobody `stated` that the readings are of this bench, nothing is
     concluded from what meters and head it has. Raises `CalibrationError` where the readings do not determine the
-    coefficients: `TooLittleLeft` where some were known.
+    coefficients.
     """
     stand_u = {name: spread.u for name, spread in bench.stand_distributions().items()}
     sheet = np.array(bench.unit_under_test.scale_factors.values) if nominal is None else nominal
     sheet_of_unit = sheet if readings.unit == "V" else None
     there = KnownBench.of(bench) if stated else NOTHING_KNOWN
-    try:
-        diagnosis = diagnose(readings, model, stand_u, sheet_of_unit, cache, there)
-    except CalibrationError as reason:
-        if known:
-            raise TooLittleLeft(known, str(reason), readings, simulated=simulated) from reason
-        raise
+    diagnosis = diagnose(readings, model, stand_u, sheet_of_unit, cache, there)
     if known:
         mistakes = replace(diagnosis.mistakes, mistakes=(*known, *diagnosis.mistakes.mistakes))
         diagnosis = replace(diagnosis, mistakes=mistakes, verdict="mistake")

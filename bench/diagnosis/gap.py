@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy import special
@@ -84,20 +84,6 @@ class Fold:
         """Whether it counts: it can confirm what was found, or what the others named makes it worse."""
         worse = self.after.chi2 - self.before.chi2 >= LEAST_FALL
         return self.confirmable or (worse and self.blind == BLIND)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "what": self.label,
-            "confirmable": self.confirmable,
-            "counted": self.counted,
-            "left_out": None if self.counted else self.blind,
-            "named_without_it": list(self.gains),
-            "before": self.before.reduced,
-            "after": self.after.reduced,
-            "before_rms_ug": 1e6 * rms([self.before.error_g]),
-            "after_rms_ug": 1e6 * rms([self.after.error_g]),
-        }
 
 
 @dataclass(frozen=True)
@@ -224,33 +210,6 @@ class Gap:
         if len(set(self.named)) > len(self.unconfirmed) > 0:
             return f"readings held out do not confirm {', '.join(self.unconfirmed)} ({sizes})"
         return f"the gap on readings held out does not shrink enough ({sizes})"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the promised form."""
-        opened = bool(self.opened)
-        undetermined = [
-            dict.fromkeys(("before", "after", "before_rms_ug", "after_rms_ug"))
-            | {"what": label, "confirmable": False, "counted": False, "left_out": UNDETERMINED}
-            | {"named_without_it": []}
-            for label in self.undetermined
-        ]
-        return {
-            "before": self.before if opened else None,
-            "after": self.after if opened else None,
-            "floor": FLOOR,
-            "closed": self.closed,
-            "shrinks": self.shrinks,
-            "reason": self.reason or None,
-            "p_after": self.p_after if opened else None,
-            "before_rms": self.before_rms if opened else None,
-            "after_rms": self.after_rms if opened else None,
-            "before_rms_ug": 1e6 * self.before_rms_g if opened else None,
-            "after_rms_ug": 1e6 * self.after_rms_g if opened else None,
-            "expected_rms_ug": 1e6 * self.expected_rms_g if opened else None,
-            "noise_rms": self.noise.reading,
-            "unit": self.unit,
-            "held_out": [*(f.to_dict() for f in self.folds), *undetermined],
-        }
 
 
 def part_closed(before: float, after: float) -> float | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,14 +43,6 @@ class Orientation:
     axis: Floats
     missed_rad: float
     contradicts: bool
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what a result says of it."""
-        return {
-            "off_deg": float(np.degrees(self.off_rad)),
-            "axis": self.axis.tolist(),
-            "contradicts_bench_file": self.contradicts,
-        }
 
     def in_words(self) -> str:
         """Say what contradicts the bench file, and what to do."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import count
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -211,17 +211,6 @@ class Proposal:
                     continue
             break
         return replace(self, written=free)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "why": self.why,
-            "procedure": str(self.procedure),
-            "minutes": self.minutes,
-            "settles": [asdict(separation) for separation in self.settles],
-            "shows": list(self.shows),
-            "left_out": dict(self.left_out),
-        }
 
 
 def propose(diagnosis: Diagnosis, bench: BenchFile, menu: Sequence[Path] | None = None) -> Proposal | None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy import special
@@ -256,10 +256,6 @@ class NoiseFinding:
             f"the noise of {of} is {found}, {self.factor:.1f} times the {stated} that {self.source} "
             f"{'say' if self.source == OWN_SCATTER else 'says'}: what the model lacks may hide in it"
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return asdict(self) | {"words": self.words}
 
 
 class _Stated(NamedTuple):

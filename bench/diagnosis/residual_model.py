@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy import special
@@ -67,15 +67,6 @@ class Dark:
     def there(self) -> bool:
         """Whether it is more than chance."""
         return self.p < BY_CHANCE
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what a result says of it."""
-        return {
-            "value": self.value if self.there else 0.0,
-            "u": self.u if self.there else None,
-            "upper_95": self.upper,
-            "p": self.p,
-        }
 
 
 SIGNIFICANT: Final = 1e-3
@@ -176,30 +167,6 @@ class FormTerm:
                 )
         return told
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return what a result says of it."""
-        effect = self.effect
-        return {
-            "name": effect.name,
-            "stage": effect.stage.value,
-            "adds_to": effect.adds_to or None,
-            "expression": effect.expression,
-            "constants": {
-                p.name: {"value": p.default / p.si_per_unit, "unit": p.unit}
-                for p in effect.parameters
-                if p.is_shape
-            },
-            "channels": list(self.applied.channels),
-            "sizes": [
-                {"parameter": name, "channel": channel or None, "value": value, "u": u, "unit": unit}
-                for name, channel, value, u, unit in self.sizes()
-            ],
-            "family": self.family,
-            "could_also_be": list(self.could_also_be),
-            "rho": self.rho,
-            "p": self.p,
-        }
-
 
 @dataclass(frozen=True)
 class FreeForm:
@@ -249,49 +216,6 @@ class FreeForm:
 
     def _reduced(self, chi2: Sequence[float]) -> float:
         return sum(chi2) / max(sum(fold.count for fold in self.counted), 1)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what a result says of it."""
-        told = self.scatter
-        rms = [_rms([getattr(fold, when)[0] for fold in self.counted]) for when in ("before", "after")]
-        return {
-            "terms": [term.to_dict() for term in self.terms],
-            "instead_of": list(self.instead_of),
-            "gap": {
-                "before": self.before if self.counted else None,
-                "after": self.after if self.counted else None,
-                "floor": 1.0,
-                "closed": self.closed,
-                "before_rms": rms[0],
-                "after_rms": rms[1],
-                "unit": self.unit,
-                "held_out": [
-                    {
-                        "what": f.label,
-                        "counted": f.counted,
-                        "before": f.before[1] / f.count,
-                        "after": f.after[1] / f.count,
-                    }
-                    for f in self.folds
-                ],
-            },
-            "dark_uncertainty": self.dark.value if self.dark.there else 0.0,
-            "dark": self.dark.to_dict(),
-            "scatter": None
-            if told is None
-            else {
-                "channel": told.channel,
-                "where": told.where,
-                "sd": told.sd,
-                "elsewhere": told.elsewhere,
-                "p": told.p,
-            },
-            "unit": self.unit,
-        }
-
-
-def _rms(errors: Sequence[Floats]) -> float | None:
-    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) if errors else None
 
 
 def describe(linear: LinearSystem, given: Floats, repeats: Repeats, setting: Setting) -> FreeForm:

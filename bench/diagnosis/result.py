@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from bench.base.arrays import CHANNELS, Floats
+from bench.base.arrays import Floats
 from bench.diagnosis import (
     candidates,
     evidence,
@@ -27,7 +27,7 @@ from bench.diagnosis.candidates import Candidates, in_volts
 from bench.diagnosis.evidence import Data, Whitened
 from bench.diagnosis.gap import Gap, folds_of, thirds_of
 from bench.diagnosis.linear import LinearSystem
-from bench.diagnosis.mistakes.search import Mistake, MistakeSearch
+from bench.diagnosis.mistakes.search import MistakeSearch
 from bench.diagnosis.naming import Naming
 from bench.diagnosis.noise_kinds import NoiseFinding, NoiseKind
 from bench.diagnosis.posterior import KnownTogether, NoiseSize, Posterior
@@ -177,36 +177,10 @@ class NamedEffect:
         """Whether it has a name."""
         return self.name in CATALOGUE
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "name": self.name,
-            "channels": list(self.channels),
-            "installations": list(self.installations),
-            "cannot_tell_from": list(self.cannot_tell_from),
-            "plainer_than": list(self.plainer_than),
-            "parameters": nested(self.parameters),
-            "together": [asdict(one) for one in self.together],
-            "shape_held": any(one.u is None for one in self.parameters),
-            "p": self.p,
-            "p_all_looks": self.p_all_looks,
-            "rho": self.rho,
-            "aliases": list(self.aliases),
-            "words": self.words,
-        }
-
-
-def nested(values: Sequence[EffectValue]) -> dict[str, Any]:
-    """Return values by installations, parameter and channel, each level where there is one."""
-    tree: dict[str, Any] = {}
-    for one in values:
-        levels = [key for key in (one.installations, one.parameter, one.channel) if key]
-        branch = tree
-        for key in levels[:-1]:
-            branch = branch.setdefault(key, {})
-        u = {} if one.u is None else {"u": one.u}
-        branch[levels[-1]] = {"value": one.value, **u, "unit": one.unit}
-    return tree
+    @property
+    def shape_held(self) -> bool:
+        """Whether each u of the parameters is that with the effect's shape as it was found."""
+        return any(one.u is None for one in self.parameters)
 
 
 @dataclass(frozen=True)
@@ -264,59 +238,6 @@ class Diagnosis:
     def noise_by_channel(self) -> Floats:
         """Noise of a reading of x, y, z, unit of the signal."""
         return self.noise.reading * self.linear.by_channel
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the promised result; who proposes a measurement or writes a model file puts them in."""
-        return {
-            "verdict": self.verdict,
-            "where": [asdict(place) for place in self.where],
-            "effects": [
-                *(mistake_to_dict(mistake) for mistake in self.mistakes.mistakes),
-                *(effect.to_dict() for effect in self.effects),
-            ],
-            "next_measurement": None,
-            "hidden": list(self.hidden),
-            "hidden_parts": {name: list(parts) for name, parts in self.hidden.items() if parts},
-            "absent": dict(self.absent),
-            "unseen_per_turn": list(self.unseen_per_turn),
-            "verification_orientation": None
-            if self.linear.orientation is None
-            else self.linear.orientation.to_dict(),
-            "gap": self.gap.to_dict(),
-            "model": None,
-            "noise": {
-                "reading": self.noise.reading,
-                "setting_arcsec": self.noise.setting_arcsec,
-                "dof": self.noise.freedom,
-                "channels": dict(zip(CHANNELS, self.noise_by_channel.tolist(), strict=True)),
-                "kinds": [asdict(kind) for kind in self.noise_kinds],
-                "findings": [finding.to_dict() for finding in self.findings],
-            },
-            "p_left": self.p_left,
-            "form": None if self.form is None else self.form.to_dict(),
-            "detectable": dict(self.detectable),
-            "registered": asdict(self.registered),
-            "notes": list(self.notes),
-        }
-
-
-def mistake_to_dict(mistake: Mistake) -> dict[str, Any]:
-    """Return the promised form of a mistake."""
-    return {
-        "name": mistake.name,
-        "channels": list(mistake.channels),
-        "cannot_tell_from": list(mistake.cannot_tell_from),
-        "installations": list(mistake.installations),
-        "parameters": {
-            "pass": mistake.pass_number,
-            "point": mistake.point,
-            "misfit_before": mistake.evidence.before,
-            "misfit_after": mistake.evidence.after,
-        },
-        "p": mistake.p,
-        "p_all_looks": mistake.p,
-        "words": mistake.words,
-    }
 
 
 OF_TEMPERATURE = ("thermal_bias", "thermal_scale")

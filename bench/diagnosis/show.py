@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,28 +69,6 @@ class Simulation:
     def worst_g(self) -> float | None:
         """The largest |delta_g| of the verification points; None where there is none."""
         return max((abs(p.delta_g) for p in self.points if np.isfinite(p.delta_g)), default=None)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the test and the modulus at the verification points."""
-        return {
-            "chi2": self.test.chi2,
-            "dof": self.test.dof,
-            "p": self.test.p,
-            "rms": self.test.rms,
-            "rms_of_a_simulated_run": self.repeated.lack_of_fit.rms,
-            "seed": SEED,
-            "verification_joined": self.joined,
-            "delta_g": [
-                {
-                    "angle_deg": p.angle_deg,
-                    "pass": p.pass_number,
-                    "point": p.point,
-                    "delta_g": p.delta_g,
-                    "u": p.u,
-                }
-                for p in self.points
-            ],
-        }
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from bench.base.result_model import Real, ResultModel
 from bench.base.tables import print_notes
 from bench.diagnosis.confirm import Confirmation, EffectNow
 from bench.diagnosis.gap import FLOOR
-from bench.results.diagnosis import words
+from bench.results import diagnosis_words as words
 from bench.results.parts import BenchPart, CorrectionPart
 
 Became = Literal["confirmed", "changed", "gone"]

@@ -18,6 +18,8 @@ RESULTS: Final = {
     "chart": "control_chart.ChartResult",
     "check": "check.CheckResult",
     "compare": "compare.CompareResult",
+    "diagnose": "diagnosis.DiagnoseResult",
+    "diagnose-free": "free_diagnosis.FreeDiagnoseResult",
     "confirm": "confirm.ConfirmResult",
     "fleet-cmc": "fleet.CapabilityResult",
     "fleet-compare": "fleet_compare.BenchesResult",

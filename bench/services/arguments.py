@@ -120,6 +120,10 @@ KINDS: Final[Mapping[str, Kind]] = {
     "same_voltmeters": _FLAG,
     "by_installation": _FLAG,
     "one_block": _FLAG,
+    "accept_first": _FLAG,
+    "report": _FLAG,
+    "write": _FLAG,
+    "out": _NAME,
 }
 """For each parameter of a public function: what is taken, in code and in words; None where that is its default."""
 

@@ -15,7 +15,7 @@ from bench.run.listening import Interrupts
 from bench.services.bench_selection import own_bench
 from bench.services.calibration import CalibrationResult, calibration_of, report_page
 from bench.services.check_block import chart_of, check_block_runs, is_check_block
-from bench.services.diagnosis import told_in_words
+from bench.services.early_mistakes import told_in_words
 from bench.services.errors import Refused
 from bench.services.source import Request, Source, load_sources
 from bench.services.until import is_short

@@ -14,13 +14,12 @@ from bench.base.tables import as_text
 from bench.config.model_file import load_model
 from bench.diagnosis import ThresholdCache
 from bench.diagnosis.confirm import Confirmation, confirm
-from bench.diagnosis.free_positions import confirm_free
+from bench.diagnosis.free_positions import all_free, confirm_free
 from bench.diagnosis.free_result import OUTLIER, FreeDiagnosis
 from bench.diagnosis.mistakes.search import Mistake
 from bench.results.confirm import confirm_result, print_confirmation
-from bench.services.diagnosis import put_right
+from bench.services.early_mistakes import put_right
 from bench.services.errors import Refused
-from bench.services.free_diagnosis import free_sources
 from bench.services.own_effects import knowing_effects_of
 from bench.services.source import Source, data_sha256
 
@@ -111,7 +110,7 @@ def confirmation_of(source: Source) -> ConfirmationResult:
             f"--model {path}: it was found in these very readings ({source.name}), which cannot confirm it; "
             "take new ones"
         )
-    if free_sources([source]):
+    if all_free([source.readings]):
         with knowing_effects_of(source):
             return ConfirmationResult(source, confirm_free([source.readings], source.model), ())
     bench = source.bench

@@ -1,285 +1,186 @@
-"""A diagnosis of one body of readings, early mistakes of the run put right first."""
+"""Diagnoses of bodies of readings, side by side where there are several, and the files that follow from them."""
 
 from __future__ import annotations
 
-import re
-from collections import Counter, defaultdict
-from collections.abc import Sequence
+import multiprocessing
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import datetime
+from functools import partial
+from itertools import count
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from rich.console import Console
 
-from bench.base.arrays import Floats, Mask
+from bench.base.computing import tracked
 from bench.base.files import cache_folder, write_whole
 from bench.base.tables import as_text
 from bench.base.text import visible
-from bench.diagnosis.full import FullDiagnosis, TooLittleLeft, diagnose_fully
+from bench.base.yaml_files import FileMistakes
+from bench.calibration.result import CalibrationError
+from bench.config.formulas import effects_in, files_of_environment
+from bench.config.model_file import load_model, write_model_file
+from bench.diagnosis.free_positions import all_free, diagnose_free
+from bench.diagnosis.free_result import FreeDiagnosis
+from bench.diagnosis.full import FullDiagnosis, MistakesAlone, diagnose_fully
 from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.next_measurement import Proposal
 from bench.diagnosis.result import Diagnosis
+from bench.diagnosis.show import label
 from bench.diagnosis.threshold import ThresholdCache
+from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.corrected import as_read
 from bench.readings.csv import format_csv
-from bench.readings.mistaken import MistakeName
-from bench.readings.table import JoinedPart, Readings, together
-from bench.run.causes import STOP_ALARM
-from bench.run.early_warning import watcher_of
-from bench.run.events import EventType
-from bench.run.expectation import CABLINGS, EarlySign, Kind
-from bench.run.folder import Run
+from bench.readings.table import Readings
+from bench.results import diagnosis as text
+from bench.results import diagnosis_words as words
+from bench.results import free_diagnosis as free
+from bench.results.diagnosis_words import NO_FILES, Files
 from bench.services.bench_selection import SUFFIX
+from bench.services.bodies import Body, whole_body
+from bench.services.early_mistakes import put_right
 from bench.services.errors import Refused
-from bench.services.own_effects import knowing_effects_of
-from bench.services.source import Source, data_sha256, provenance
+from bench.services.own_effects import knowing_effects_in, knowing_effects_of
+from bench.services.requests.diagnosis import Diagnose
+from bench.services.source import Failed, Source, attempted, data_sha256, done, provenance
 
-SAT_IN: Final = re.compile(r"the block sits in installation (\S+), not in (\S+)")
-OF_ONE_READING: Final = frozenset({Kind.NOT_TURNED, Kind.NEXT_POINT, Kind.WRONG_WAY, Kind.SLIP})
-NAMES: Final = {Kind.ROTATION: MistakeName.REVERSED_ROTATION, Kind.ORIENTATION: MistakeName.OTHER_MOUNTING}
-LEAST_NAMED: Final = 2
-"""So many readings of a mounting name the installation in which the block sat, before all are moved there."""
+T = TypeVar("T")
+Found = FullDiagnosis | MistakesAlone | FreeDiagnosis
 
 
-MOST_TOLD: Final = 3
-"""Causes that are told at the end of a run."""
+# --- results ----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class _Named:
-    """A row of the table with the sign that it raised."""
+class _Result(ABC):
+    """What was `found` in a body of readings. `files` were written of it; `not_written` says which could not be."""
 
-    row: int
-    sign: EarlySign
+    body: Body
+    found: Found
+    files: Files = NO_FILES
+    not_written: tuple[str, ...] = ()
 
+    @property
+    def source(self) -> Source:
+        """The readings, the bench and the model."""
+        return self.body.source
 
-def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
-    """Return the readings of a source with what the early warning named put right, and the mistakes.
+    @property
+    def verdict(self) -> str:
+        """One of agrees, mistake, named, confounded, unknown."""
+        return "mistake"
 
-    They come back as they are where nothing was told while they were taken.
-    """
-    run, readings = source.run, source.readings
-    if run is None or run.imported or not run.history.progress.signs:
-        return readings, ()
-    named = _signs(source)
-    if not named or len(readings) != len(run.history.readings):
-        return readings, ()
-    copy = _Copy(readings)
-    by_mount: defaultdict[tuple[int, str], list[_Named]] = defaultdict(list)
-    for one in named:
-        by_mount[copy.mount(one.row)].append(one)
-    mistakes = []
-    for mount, told in by_mount.items():
-        mistakes += copy.mend(mount, told)
-    return copy.readings(), tuple(mistakes)
+    @property
+    def bench(self) -> str:
+        """Which bench file gave the errors of the stand and gravity; and why that one."""
+        return self.source.taken.words
 
+    @property
+    def next_measurement(self) -> Proposal | None:
+        """What to measure next; None where nothing is proposed."""
+        return None
 
-def told_in_words(run: Run) -> list[str]:
-    """Return what the early warning told while a run was taken, and what a person went on with, in sentences."""
-    if not run.history.progress.signs:
-        return []
-    named: Counter[str] = Counter()
-    lines = []
-    for event in run.history.events:
-        if event.type == EventType.EARLY_SIGN:
-            named.update(event.data["causes"][:1])
-        elif event.type == EventType.WENT_ON:
-            lines.append(f"gone on in spite of '{' or '.join(event.data['causes'])}': {event.data['reason']}")
-    found = [
-        f"the early warning named '{cause}' at {times} reading{'s' if times > 1 else ''}"
-        for cause, times in named.most_common(MOST_TOLD)
-    ]
-    more = len(named) - len(found)
-    found += [f"… and {more} other causes"] if more > 0 else []
-    return [*found, *lines, f"'bench diagnose {run.name}' goes by what was named"] if found or lines else []
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `bench diagnose --json` writes it, with the files that were written."""
 
+    @abstractmethod
+    def print_on(self, out: Console) -> None:
+        """Print the diagnosis in the order in which it was made."""
 
-def _signs(source: Source) -> list[_Named]:
-    """Go through the readings that stand again; return those that a mistake explains far beyond chance."""
-    assert source.run is not None  # noqa: S101
-    history = source.run.history
-    watcher = watcher_of(source.run.plan, source.bench)
-    bound = STOP_ALARM / max(len(history.readings), 1)
-    rows = {reading.place: row for row, reading in enumerate(history.readings.values())}
-    found: dict[int, EarlySign] = {}
-    for row, reading in enumerate(history.readings.values()):
-        for sign in watcher.take(reading):
-            sure = sign.p < bound and sign.kinds and set(sign.kinds) <= {*Kind} - _MAY_BE_EFFECTS
-            if sign.confident and sign.wrong is not None:
-                found[rows.get(sign.wrong, row)] = sign
-            elif sure and sign.at_fault is None:
-                found[row] = sign
-    return [_Named(row, sign) for row, sign in sorted(found.items())]
+    @abstractmethod
+    def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
+        """Write all that `bench diagnose` writes; return the result that names the files.
 
-
-_MAY_BE_EFFECTS: Final = frozenset({Kind.MOVED, Kind.TILTED, Kind.CHANNEL, Kind.EARLIER})
-
-
-class _Copy:
-    """A table of readings in which mistakes are put right."""
-
-    def __init__(self, readings: Readings) -> None:
-        self._given = readings
-        self._signal, self._sd = readings.signal.copy(), readings.signal_sd.copy()
-        self._label = readings.installation.astype(object)
-        self._series = readings.series.copy()
-        self._kept = np.ones(len(readings), dtype=bool)
-        self._skipped: list[str] = []
-
-    def mount(self, row: int) -> tuple[int, str]:
-        """Return the mounting of a row as it was recorded: series and installation."""
-        return int(self._given.series[row]), str(self._given.installation[row])
-
-    def readings(self) -> Readings:
-        """Return the table put right."""
-        changed = replace(
-            self._given,
-            signal=self._signal,
-            signal_sd=self._sd,
-            installation=self._label.astype(np.str_),
-            series=self._series,
-            skipped=(*self._given.skipped, *self._skipped),
-        )
-        return changed.select(self._kept)
-
-    def mend(self, mount: tuple[int, str], told: Sequence[_Named]) -> list[Mistake]:
-        """Put right what was told of the readings of a mounting; return the mistakes."""
-        sat = Counter(match[1] for one in told if (match := _sat_in(one.sign)) is not None)
-        if sat and sat.most_common(1)[0][1] >= LEAST_NAMED:
-            return [self._move(mount, sat.most_common(1)[0][0], told)]
-        cabled = Counter(one.sign.causes[0] for one in told if _cabling(one.sign) is not None)
-        mistakes = []
-        for cause in (cause for cause, times in cabled.items() if times >= LEAST_NAMED):
-            mistakes.append(self._rewire(mount, cause, [one for one in told if one.sign.causes[0] == cause]))
-        done = {cause for cause, times in cabled.items() if times >= LEAST_NAMED}
-        left = [one for one in told if one.sign.causes[0] not in done]
-        return [*mistakes, *(self._leave_out(mount, one) for one in left)]
-
-    def _move(self, mount: tuple[int, str], actual: str, told: Sequence[_Named]) -> Mistake:
-        """Move the rows of a mounting to where the block sat: into the mounting before, if it is the same."""
-        rows = self._rows(mount)
-        first = int(np.flatnonzero(rows)[0])
-        before = self.mount(first - 1) if first else (0, "")
-        highest = int(self._given.series.max())
-        self._label[rows] = actual
-        self._series[rows] = before[0] if before[1] == actual else highest + 1
-        words = (
-            f"the block sat in installation {actual}, not in {mount[1]}, in its {int(rows.sum())} readings from "
-            f"pass {self._given.pass_number[first]}, point {self._given.point[first]} on; the copy says so"
-        )
-        p = min(one.sign.p for one in told)
-        return _mistake(MistakeName.SWAPPED_INSTALLATIONS, (), mount[1], None, None, words, p)
-
-    def _rewire(self, mount: tuple[int, str], cause: str, told: Sequence[_Named]) -> Mistake:
-        """Put the signals back between the first and the last reading that shows the cables."""
-        rows = self._rows(mount)
-        rows[: told[0].row] = False
-        rows[told[-1].row + 1 :] = False
-        matrix = CABLINGS[cause]
-        self._signal[rows] = self._signal[rows] @ matrix.T
-        self._sd[rows] = self._sd[rows] @ np.abs(matrix).T
-        channels = told[0].sign.channels
-        name = MistakeName.REVERSED_POLARITY if "reversed" in cause else MistakeName.SWAPPED_CHANNELS
-        words = (
-            f"{cause} in installation {mount[1]} from pass {self._given.pass_number[told[0].row]}, point "
-            f"{self._given.point[told[0].row]} on ({int(rows.sum())} readings); the copy has their signals put back"
-        )
-        return _mistake(name, channels, mount[1], None, None, words, min(one.sign.p for one in told))
-
-    def _leave_out(self, mount: tuple[int, str], one: _Named) -> Mistake:
-        self._kept[one.row] = False
-        number, point = int(self._given.pass_number[one.row]), int(self._given.point[one.row])
-        where = f"installation {mount[1]}, pass {number}, point {point}"
-        self._skipped.append(f"{where}: {' or '.join(one.sign.causes[:1])}")
-        words = f"{where}: {' or '.join(one.sign.causes)}; the copy leaves the reading out"
-        kind = Kind(one.sign.kinds[0])
-        name = NAMES.get(kind, MistakeName.WRONG_SETTING if kind in OF_ONE_READING else MistakeName.OUTLIER)
-        return _mistake(name, one.sign.channels, mount[1], number, point, words, one.sign.p)
-
-    def _rows(self, mount: tuple[int, str]) -> Mask:
-        return np.asarray((self._given.series == mount[0]) & (self._given.installation == mount[1]))
-
-
-def _sat_in(sign: EarlySign) -> re.Match[str] | None:
-    return SAT_IN.fullmatch(sign.causes[0]) if sign.kinds[0] == Kind.INSTALLATION else None
-
-
-def _cabling(sign: EarlySign) -> str | None:
-    return sign.causes[0] if sign.causes[0] in CABLINGS else None
-
-
-def _mistake(
-    name: MistakeName,
-    channels: tuple[str, ...],
-    installation: str,
-    pass_number: int | None,
-    point: int | None,
-    words: str,
-    p: float,
-) -> Mistake:
-    told = f"{words} (as the early warning named it)"
-    return Mistake(name, channels, (installation,), pass_number, point, told, p, ())
-
-
-TOGETHER: Final = "diagnose-together"
-
-
-@dataclass(frozen=True)
-class Body:
-    """A body of readings with the hashes of what it is made of, and the name of what is written for it.
-
-    `nominal` (blocks, 3) are the scale factors of the data sheets where blocks of several kinds are in it. Of
-    several sources `place` is the one beside which it is written.
-    """
-
-    source: Source
-    sha256: tuple[str, ...]
-    command: str = "diagnose"
-    nominal: Floats | None = None
-    place: Source | None = None
-
-    def output(self, suffix: str) -> Path:
-        """Return the file that is written for it."""
-        return (self.place or self.source).output(self.command, suffix)
-
-    def copy_files(self, mistakes: Sequence[Mistake], corrected: Readings) -> dict[Path, str]:
-        """Return the readings file of the copy with mistakes put right, and the one that tells where it comes from.
-
-        It reads, with the same bench file, to the very readings that were searched. Nothing where there was no
-        mistake.
+        What cannot be written is noted in `not_written`; where a folder was asked for it raises `OSError`.
         """
+
+    def __repr__(self) -> str:
+        """Return what `bench diagnose` prints, and which bench file was taken."""
+        return f"{as_text(self.print_on)}\nbench: {self.bench}"
+
+    def _tried(self, what: str, write: Callable[[], T]) -> tuple[T | None, Self]:
+        """Return what writing returns, and the result, with a note where it could not be written."""
+        try:
+            return write(), self
+        except OSError as error:
+            if self.source.request.out is not None:
+                raise
+            note = f"{what} is not written ({error.strerror}); use --out DIR"
+            return None, replace(self, not_written=(*self.not_written, note))
+
+    def _with_copy(self, mistakes: Sequence[Mistake], corrected: Readings) -> Self:
+        """Write the copy with mistakes put right, where there is any."""
         if not mistakes:
-            return {}
-        path = self.output("-corrected.csv")
-        text = format_csv(as_read(corrected, self.source.traced.by))
-        files = {path: text}
-        if self.source.origin is not None and len(self.sha256) == 1:
-            mended = tuple(visible(mistake.words) for mistake in mistakes)
-            origin = self.source.origin.model_copy(update={"mended": (*self.source.origin.mended, *mended)})
-            files[path.with_name(path.name + SUFFIX)] = origin.text_beside(path, text.encode())
-        return files
-
-    def sha256_with_copy(self, full: FullDiagnosis) -> tuple[str, ...]:
-        """Return the hashes of what was searched: the body's, and that of the copy with mistakes put right."""
-        copy = as_read(full.diagnosis.mistakes.corrected, self.source.traced.by)
-        return self.sha256 if not full.diagnosis.mistakes.mistakes else (*self.sha256, data_sha256(copy))
+            return self
+        place = self.body.output("-corrected.csv")
+        path, result = self._tried(
+            "the corrected copy of the readings", lambda: _write_copy(self.body, mistakes, corrected, place)
+        )
+        return result if path is None else replace(result, files=Files(copies=(path,)))
 
 
-@dataclass(frozen=True)
-class DiagnosisResult:
+class _WithPage(_Result):
+    """A diagnosis of which there is a page."""
+
+    @abstractmethod
+    def html(self) -> str:
+        """Return the page."""
+
+    def report(self, path: str | Path) -> Path:
+        """Write the page (HTML, with everything in it); return its path. Raises `OSError`."""
+        write_whole(Path(path), self.html())
+        return Path(path)
+
+    def _with_report(self) -> Self:
+        # the page names itself nowhere, so that it may be made before it is written
+        page, file = self.html(), self.body.output(".html")
+        path, result = self._tried(str(file), lambda: _write(file, page))
+        return replace(result, files=replace(result.files, report=path))
+
+
+@dataclass(frozen=True, repr=False)
+class MistakesResult(_Result):
+    """A diagnosis that ended with mistakes: they leave too little to determine the coefficients."""
+
+    found: MistakesAlone
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `bench diagnose --json` writes it."""
+        source = self.source
+        return text.mistakes_result(
+            self.found, self.files, source.taken.part(), source.traced.parts()
+        ).to_dict()
+
+    def print_on(self, out: Console) -> None:
+        """Print the mistakes and what is missing without them."""
+        text.print_mistakes(self.found, self.files, out)
+
+    def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
+        """Write the copy with the mistakes put right, of which there is neither model nor page."""
+        return self._with_copy(self.found.mistakes, self.found.corrected)
+
+
+@dataclass(frozen=True, repr=False)
+class DiagnosisResult(_WithPage):
     """Where readings and model disagree, what is missing, and how far the gap closes with it.
 
-    `full` holds all that was found, `source` the readings, the bench and the model.
+    result = bench.diagnose("unit-17")
+    result.write_model("found.yaml")
+    bench.confirm("unit-18", model="found.yaml").verdict
     """
 
-    source: Source
-    full: FullDiagnosis
+    found: FullDiagnosis
 
     @property
     def diagnosis(self) -> Diagnosis:
         """The verdict with what speaks for it: places, effects, mistakes, the gap."""
-        return self.full.diagnosis
+        return self.found.diagnosis
 
     @property
     def verdict(self) -> str:
@@ -287,149 +188,352 @@ class DiagnosisResult:
         return self.diagnosis.verdict
 
     @property
-    def bench(self) -> str:
-        """Which bench file gave the errors of the stand and gravity; and why that one."""
-        return self.source.taken.words
+    def next_measurement(self) -> Proposal | None:
+        """What to measure next; None where nothing is proposed."""
+        return self.found.next_measurement
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as `bench diagnose --json` writes it; no file was written, so it names none."""
-        return self.full.to_dict()
+        """Return the result as `bench diagnose --json` writes it."""
+        source = self.source
+        with knowing_effects_of(source):
+            return text.diagnose_result(
+                self.found, self.files, source.taken.part(), source.traced.parts()
+            ).to_dict()
 
-    def report(self, path: str | Path) -> None:
-        """Write the page (HTML, with everything in it). Raises `OSError`."""
-        write_whole(Path(path), diagnosis_page(self.source, self.full))
+    def html(self) -> str:
+        """Return the page."""
+        from bench.results.diagnosis_page import render_diagnosis
+
+        source = self.source
+        title, limit_g = f"Diagnosis of {source.block_name or source.name}", source.bench.verification_limit_g
+        with knowing_effects_of(source):
+            return render_diagnosis(self.found, self.files, title, limit_g, provenance(source))
 
     def print_on(self, out: Console) -> None:
         """Print the diagnosis in the order in which it was made."""
-        from bench.results.diagnosis.terminal import print_one
-
         with knowing_effects_of(self.source):
-            print_one(self.full, out)
+            text.print_one(self.found, self.files, out)
 
-    def __repr__(self) -> str:
-        """Return what `bench diagnose` prints, and which bench file was taken."""
-        return f"{as_text(self.print_on)}\nbench: {self.bench}"
+    def model_is_due(self, *, accept_first: bool = False) -> bool:
+        """Whether what was found makes a model file: it is named, or accepted though the data cannot tell."""
+        verdict, form = self.diagnosis.of_copy, self.diagnosis.form
+        # what makes the gap no smaller is no better model, whoever accepts it
+        accepted = accept_first and verdict == "confounded" and self.diagnosis.gap.shrinks is not False
+        there = verdict == "named" or accepted or (form is not None and bool(form.applied))
+        return there and self.found.shown.after is not None
 
+    def write_model(self, path: str | Path, *, accept_first: bool = False) -> Path:
+        """Write the model with what was found, which `bench.confirm` and `bench.calibrate` take; return its path.
 
-def body_of(sources: list[Source], *, one_block: bool | None = None) -> Body:
-    """Return the sources as one body of data: of `one_block`, or of a block each.
+        Raises `Refused` where nothing is due, `FileMistakes` where the file exists.
+        """
+        if not self.model_is_due(accept_first=accept_first):
+            tied = self.diagnosis.of_copy == "confounded"
+            why = words.why_no_model(self.diagnosis) if tied else "where nothing was found that has a name"
+            raise Refused(f"{path}: no model file is written {why}")
+        with knowing_effects_of(self.source):
+            self._write_model(Path(path))
+        return Path(path)
 
-    Where nobody says (None), the names of the blocks tell, and where those do not, the readings will. Raises
-    `Refused` where they are not of one bench.
-    """
-    hashes = tuple(data_sha256(source.as_read) for source in sources)
-    first = sources[0]
-    if len(sources) == 1:
-        return Body(first, hashes)
-    for source in sources[1:]:
-        _require_same_bench(first, source)
-    try:
-        blocks = _blocks(sources, one_block)
-        readings = together(
-            [JoinedPart(s.readings, _began_s(s), block) for s, block in zip(sources, blocks, strict=True)]
-        )
-    except ValueError as problem:
-        raise Refused(f"--together: {problem}") from problem
-    # a model that was found in any of the sources has seen a part of the whole
-    model = next((s.model for s in sources if not any(a.u for a in s.model.effects)), first.model)
-    name = " + ".join(source.name for source in sources)
-    entries = tuple(entry for source in sources for entry in source.traced.entries)
-    own = tuple(dict.fromkeys(effect for source in sources for effect in source.effects))
-    traced = replace(first.traced, entries=entries)
-    whole = replace(first, readings=readings, model=model, name=name, traced=traced, effects=own)
-    nominal = None
-    if blocks[0] is not None:
-        kinds = {n: s for n, s in zip(blocks, sources, strict=True) if n is not None}
-        nominal = np.array([kinds[n].bench.unit_under_test.scale_factors.values for n in sorted(kinds)])
-    return Body(whole, hashes, TOGETHER, nominal, place_together(sources))
+    def write_next(self, path: str | Path) -> Path:
+        """Write the procedure to carry out next; return its path. Raises `Refused` where nothing is proposed."""
+        if self.next_measurement is None:
+            raise Refused(f"{path}: no procedure would tell more")
+        return self.next_measurement.write(Path(path)).procedure
 
+    def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
+        """Write copy, model, next procedure and page; return the result that names the files."""
+        mistakes, body = self.diagnosis.mistakes, self.body
+        result = self._with_copy(mistakes.mistakes, mistakes.corrected)
+        if self.model_is_due(accept_first=accept_first):
+            file = body.output("-model.yaml")
+            model, result = result._tried(str(file), partial(_by_unused_name, file, result._write_model))
+            models = () if model is None else (model,)
+            result = replace(result, files=replace(result.files, models=models))
+        if self.next_measurement is not None:
+            write = partial(self.next_measurement.write, body.output("-next.yaml"))
+            proposal, result = result._tried("the next procedure", write)
+            if proposal is not None:
+                result = replace(result, found=replace(self.found, next_measurement=proposal))
+        return result._with_report() if report else result
 
-def place_together(sources: Sequence[Source]) -> Source:
-    """Return the first of several sources, by a name under which what is written of all of them stands."""
-    first = sources[0]
-    if len(sources) == 1:
-        return first
-    stem = Path(first.name).stem
-    others = Path(sources[1].name).stem if len(sources) == 2 else f"{len(sources) - 1}-more"
-    return replace(first, name=str(Path(first.name).parent / f"{stem}+{others}.csv"))
-
-
-def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
-    """Return the number of the block of each source; None for all where only the readings can tell."""
-    if one_block is not None:
-        return [0 if one_block else number for number in range(len(sources))]
-    sheets = [tuple(source.bench.unit_under_test.scale_factors.values) for source in sources]
-    names = [source.block_name for source in sources]
-    told = list(zip(names, sheets, strict=True)) if all(names) else [("", sheet) for sheet in sheets]
-    kinds = list(dict.fromkeys(told))
-    return [kinds.index(one) for one in told] if len(kinds) > 1 else [None] * len(sources)
-
-
-def _of_the_stand(source: Source) -> dict[str, float]:
-    """Return the limits of the stand, in rad, without the noise in the unit of the signals."""
-    return {name: u for name, u in source.stand_u.items() if name != "voltmeter_error"}
-
-
-def _require_same_bench(first: Source, other: Source) -> None:
-    one, two = first.model.installations, other.model.installations
-    same = {
-        "local gravity": first.g_m_s2 == other.g_m_s2,
-        "limits of the stand": _of_the_stand(first) == _of_the_stand(other),
-        "installations": one.keys() == two.keys()
-        and all(np.allclose(one[name].block_from_platform, two[name].block_from_platform) for name in one),
-    }
-    different = [what for what, agrees in same.items() if not agrees]
-    if different:
-        raise Refused(
-            f"--together: {other.name} has another bench than {first.name} ({', '.join(different)}); say with "
-            "--bench FILE which one holds for both"
+    def _write_model(self, path: Path) -> None:
+        source, after, found = self.source, self.found.shown.after, self.diagnosis
+        assert after is not None  # noqa: S101 - who writes asks before
+        given = source.request.model
+        known = "" if given is None else load_model(given, source.model.installations).data_sha256 or ""
+        hashes = [*known.split(), *self.body.sha256]
+        if found.mistakes.mistakes:
+            hashes.append(data_sha256(as_read(found.mistakes.corrected, source.traced.by)))
+        write_model_file(
+            path,
+            after.model.name,
+            (*after.effects[: len(source.model.effects)], *found.applied, *found.left_open),
+            parent=source.model.name,
+            data_sha256=" ".join(dict.fromkeys(hashes)),
+            evidence=words.evidence_in_words(self.found, self.files.copy),
+            dark_uncertainty=None if found.form is None else words.dark_for_model(found.form),
         )
 
 
-def _began_s(source: Source) -> float | None:
-    """Return when the clock of a run began, s; None for a readings file, which does not say."""
-    if source.run is None or source.run.imported:
-        return None
-    try:
-        return datetime.fromisoformat(source.run.created).timestamp()
-    except ValueError:
-        return None
+@dataclass(frozen=True, repr=False)
+class FreeDiagnosisResult(_WithPage):
+    """Where free positions and model disagree, what is missing, and how far the gap closes with it."""
 
+    found: FreeDiagnosis
 
-def diagnosis_of(source: Source, nominal: Floats | None = None) -> FullDiagnosis:
-    """Diagnose a source with its own bench and model; thresholds are kept in the user's cache folder.
+    @property
+    def verdict(self) -> str:
+        """One of agrees, mistake, named, confounded, unknown."""
+        return self.found.verdict
 
-    `nominal` (blocks, 3) are the scale factors of several blocks, by default those of the bench file.
+    def corrected(self) -> dict[int, Readings]:
+        """Return the readings without the positions that stand apart, as read, by number of the source."""
+        kept = {}
+        for number in np.unique(self.found.left_out[:, 0]).tolist():
+            source = self.body.sources[number]
+            left_out = self.found.left_out[self.found.left_out[:, 0] == number, 1]
+            stay = ~np.isin(np.arange(len(source.readings)), left_out)
+            kept[number] = as_read(source.readings.select(stay), source.traced.by)
+        return kept
 
-    What the early warning named while a run was taken is put right first. Raises `CalibrationError` where the
-    readings do not determine the coefficients, `TooLittleLeft` where they would not without their mistakes.
-    """
-    readings, known = put_right(source)
-    taken = source.taken.to_dict()
-    try:
-        with knowing_effects_of(source):
-            full = diagnose_fully(
-                readings,
-                source.model,
-                source.bench,
-                source.g_m_s2,
-                ThresholdCache(cache_folder("thresholds")),
-                source=source.name,
-                simulated=source.simulated,
-                known=known,
-                stated=source.taken.stated,
-                nominal=nominal,
+    def models_of(self, *, accept_first: bool = False) -> list[tuple[AppliedEffect, ...]]:
+        """Return the effects of the model file of each sensor, or of one for all; none where none is due."""
+        found = self.found
+        # what makes the gap no smaller is no better model, whoever accepts it
+        accepted = accept_first and found.of_rest == "confounded" and found.gap.shrinks is not False
+        if found.of_rest != "named" and not accepted:
+            return []
+        return [
+            (
+                *self.source.model.effects,
+                *(replace(one, installations=()) for one in found.applied_to(sensor)),
             )
-    except TooLittleLeft as found:
-        found.bench, found.corrections = taken, source.traced.to_json()
-        raise
-    return replace(full, bench=taken, corrections=source.traced.to_json())
+            for sensor in range(1 if found.alike else found.rows.sensors)
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `bench diagnose --json` writes it."""
+        sources = self.body.sources
+        with knowing_effects_of(*sources):
+            return free.free_result(
+                self.found,
+                self.files,
+                self.source.taken.part(),
+                [part for source in sources for part in source.traced.parts()],
+                simulated=any(source.simulated for source in sources),
+                skipped_rows=[row for source in sources for row in source.readings.skipped],
+            ).to_dict()
+
+    def html(self) -> str:
+        """Return the page."""
+        title = f"Diagnosis of {self.source.block_name or free.readings_named(self.found)}"
+        simulated = any(source.simulated for source in self.body.sources)
+        with knowing_effects_of(self.source):
+            return free.render_free(
+                self.found, self.files, title, provenance(self.source), simulated=simulated
+            )
+
+    def print_on(self, out: Console) -> None:
+        """Print the diagnosis in the order in which it was made."""
+        with knowing_effects_of(self.source):
+            free.print_free(self.found, self.files, out)
+
+    def write_model(self, path: str | Path, *, accept_first: bool = False) -> tuple[Path, ...]:
+        """Write the model of each sensor (`-sensor-1` in its name, …), or one where all are alike.
+
+        Raises `Refused` where nothing is due, `FileMistakes` where a file exists.
+        """
+        models = self.models_of(accept_first=accept_first)
+        if not models:
+            raise Refused(f"{path}: no model file is written {free.why_no_model(self.found)}")
+        place = Path(path)
+        many = len(models) > 1
+        paths = [
+            place.with_stem(f"{place.stem}-sensor-{n + 1}") if many else place for n in range(len(models))
+        ]
+        for one, effects in zip(paths, models, strict=True):
+            self._write_model(effects, one)
+        return tuple(paths)
+
+    def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
+        """Write copies, models and page; return the result that names the files."""
+        result, copies, written = self, [], []
+        for number, readings in self.corrected().items():
+            place = self.body.output("-corrected.csv", number)
+            path, result = result._tried(str(place), partial(_write, place, format_csv(readings)))
+            copies += [path] * (path is not None)
+        models = self.models_of(accept_first=accept_first)
+        for number, effects in enumerate(models, start=1):
+            file = self.body.output(f"-model-sensor-{number}.yaml" if len(models) > 1 else "-model.yaml")
+            write = partial(_by_unused_name, file, partial(self._write_model, effects))
+            path, result = result._tried(str(file), write)
+            written += [path] * (path is not None)
+        result = replace(result, files=Files(tuple(filter(None, copies)), tuple(filter(None, written))))
+        return result._with_report() if report else result
+
+    def _write_model(self, effects: tuple[AppliedEffect, ...], path: Path) -> None:
+        added = dict.fromkeys(label(one) for each in self.found.found for one in each.applied)
+        hashes = (*self.body.sha256, *(data_sha256(table) for table in self.corrected().values()))
+        write_model_file(
+            path,
+            " + ".join([self.source.model.name, *added]),
+            effects,
+            parent=self.source.model.name,
+            data_sha256=" ".join(hashes),
+            evidence=free.evidence_in_words(self.found),
+        )
 
 
-def diagnosis_page(source: Source, full: FullDiagnosis) -> str:
-    """Return the page of a diagnosis (HTML)."""
-    from bench.results.diagnosis.page import render_diagnosis
+Diagnosed = DiagnosisResult | FreeDiagnosisResult | MistakesResult
 
-    title = f"Diagnosis of {source.block_name or source.name}"
-    with knowing_effects_of(source):
-        return render_diagnosis(full, title, source.bench.verification_limit_g, provenance(source))
+
+def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None:
+    """Print one diagnosis in full; of several a line each, in full only free positions and mistakes alone."""
+    listed = [one for one in results if isinstance(one, DiagnosisResult)] if len(results) > 1 else []
+    if listed:
+        with knowing_effects_of(*(one.source for one in listed)):
+            text.print_several([(one.found, one.files) for one in listed], out)
+    for one in done(results):
+        if one not in listed:
+            one.print_on(out)
+
+
+# --- files ------------------------------------------------------------------------------------------
+
+
+def _write(path: Path, content: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, content)
+    return path
+
+
+def _by_unused_name(path: Path, write: Callable[[Path], None]) -> Path:
+    """Write a file by a name that no file has: the path, or with a number from 2 on."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for number in count(1):
+        free_path = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+        if not free_path.exists():
+            with suppress(FileMistakes):  # it was free a moment ago, and another program has it now
+                write(free_path)
+                return free_path
+    raise AssertionError
+
+
+def _write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
+    """Write the copy with mistakes put right, and beside it where it comes from.
+
+    It reads, with the same bench file, to the very readings that were searched.
+    """
+    source = body.source
+    content = format_csv(as_read(corrected, source.traced.by))
+    if source.origin is not None and len(body.sources) == 1:
+        mended = tuple(visible(mistake.words) for mistake in mistakes)
+        origin = source.origin.model_copy(update={"mended": (*source.origin.mended, *mended)})
+        _write(path, content)
+        _write(path.with_name(path.name + SUFFIX), origin.text_beside(path, content.encode()))
+        return path
+    return _write(path, content)
+
+
+# --- diagnosing -------------------------------------------------------------------------------------
+
+
+def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagnosed | Failed]:
+    """Diagnose bodies of readings, several side by side in processes of their own; write what is asked for.
+
+    Of several, what cannot be evaluated is a `Failed`; one alone raises `CalibrationError` or `Refused`.
+    """
+    if len(bodies) == 1:
+        return [diagnosed_alone(request, body) for body in done(bodies)]
+    pairs = zip(request.sources, bodies, strict=True)
+    rest = _side_by_side([replace(request, source=one) for one, body in pairs if isinstance(body, Body)])
+    return [body if isinstance(body, Failed) else _rebuilt(body, next(rest)) for body in bodies]
+
+
+def diagnosed_alone(request: Diagnose, body: Body, *, report: bool = True) -> Diagnosed:
+    """Diagnose one body; write what is asked for, the page where nobody says whether (None) as `report` says.
+
+    Raises `CalibrationError` where the readings do not determine the coefficients.
+    """
+    with knowing_effects_in(request.effects), knowing_effects_of(*body.sources):
+        result = diagnosis_of(body)
+        if not request.write:
+            return result
+        page = report if request.report is None else request.report
+        return result.written(accept_first=request.accept_first, report=page)
+
+
+def diagnosis_of(body: Body) -> Diagnosed:
+    """Diagnose a body of readings with its own bench and model; thresholds are kept in the user's cache folder.
+
+    What the early warning named while a run was measured is put right first. Raises `CalibrationError` where the
+    readings do not determine the coefficients.
+    """
+    with knowing_effects_of(*body.sources):
+        return _result(body, _found(body))
+
+
+def _found(body: Body) -> Found:
+    source = body.source
+    if all_free([one.readings for one in body.sources]):
+        tables = [replace(one.readings, source=one.name) for one in body.sources]
+        return diagnose_free(tables, body.one_block, source.model)
+    readings, known = put_right(source)
+    try:
+        return diagnose_fully(
+            readings,
+            source.model,
+            source.bench,
+            source.g_m_s2,
+            ThresholdCache(cache_folder("thresholds")),
+            source=source.name,
+            simulated=source.simulated,
+            known=known,
+            stated=source.taken.stated,
+            nominal=body.nominal,
+        )
+    except CalibrationError as reason:
+        if not known:
+            raise
+        return MistakesAlone(source.name, source.simulated, known, readings, str(reason))
+
+
+def _result(
+    body: Body, found: Found, files: Files = NO_FILES, not_written: tuple[str, ...] = ()
+) -> Diagnosed:
+    if isinstance(found, FreeDiagnosis):
+        return FreeDiagnosisResult(body, found, files, not_written)
+    if isinstance(found, MistakesAlone):
+        return MistakesResult(body, found, files, not_written)
+    return DiagnosisResult(body, found, files, not_written)
+
+
+_Done = tuple[Found, Files, tuple[str, ...]]
+"""What goes from one process to another: what was found, the files, what could not be written."""
+
+
+def _rebuilt(body: Body, one: _Done | Failed) -> Diagnosed | Failed:
+    return one if isinstance(one, Failed) else _result(body, *one)
+
+
+def _side_by_side(requests: Sequence[Diagnose]) -> Iterator[_Done | Failed]:
+    """Carry out each request in a process of its own, in the order given."""
+    workers = max(1, min(len(requests), os.cpu_count() or 1))
+    # a fresh interpreter in every worker: a copy of this one would share its threads and locks
+    fresh = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=fresh) as pool:
+        try:
+            yield from tracked(pool.map(_one_of_several, requests), "sources", len(requests))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _one_of_several(request: Diagnose) -> _Done | Failed:
+    def work() -> _Done:
+        result = diagnosed_alone(request, whole_body(request), report=False)
+        return result.found, result.files, result.not_written
+
+    with CATALOGUE.also(effects_in(files_of_environment())):
+        return attempted(str(request.source), work)

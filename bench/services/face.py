@@ -24,14 +24,15 @@ from bench.readings.csv import read_csv, read_frame
 from bench.readings.table import Readings
 from bench.services.arguments import DIAGNOSED, checked, python_call
 from bench.services.bench_selection import bench_of, find_bench_file, origin_beside
+from bench.services.bodies import single_bodies, whole_body
 from bench.services.calibration import CalibrationResult, calibration_of, verification_of
 from bench.services.confirmation import ConfirmationResult, confirmation_of
-from bench.services.diagnosis import DiagnosisResult, body_of, diagnosis_of
-from bench.services.free_diagnosis import FreeDiagnosisResult, free_diagnosis_of, free_sources
+from bench.services.diagnosis import Diagnosed, diagnosed, diagnosed_alone
 from bench.services.own_effects import knowing_effects_in
+from bench.services.requests.diagnosis import Diagnose
 from bench.services.requests.evaluation import Confirm
 from bench.services.requests.measuring import DryRunRequest, RunRequest
-from bench.services.source import Request, Source, load_sources, reading
+from bench.services.source import Failed, Request, Source, load_sources, reading
 from bench.services.verification import Asked, VerificationResult
 
 if TYPE_CHECKING:
@@ -142,31 +143,27 @@ def verify(
         return verification_of(loaded, taken, asked)
 
 
-@checked(source=DIAGNOSED)
-def diagnose(
-    source: Data | Sequence[Data],
-    *,
-    bench: Bench = None,
-    model: str | Path | None = None,
-    effects: Effects = None,
-    g: float | None = None,
-    skip_bad_rows: bool = False,
-    runs: str | Path | None = None,
-    one_block: bool | None = None,
-) -> DiagnosisResult | FreeDiagnosisResult:
+def _diagnose(request: Diagnose) -> Diagnosed:
     """Return where readings and model disagree and what is missing, as `bench diagnose` finds it.
 
     A list of sources is one body of readings, on one bench: of `one_block`, or of a block each; where nobody says
-    (None), names and readings tell. Of free positions alone the result is a `FreeDiagnosisResult`. All else as in
-    `calibrate`.
+    (None), names and readings tell. The result is a `DiagnosisResult`, of free positions alone a
+    `FreeDiagnosisResult`, and a `MistakesResult` where mistakes leave too little to fit. With `write=True` all is
+    written that `bench diagnose` writes, into `out` where that is given. All else as in `calibrate`.
     """
-    sources = list(source) if isinstance(source, list | tuple) else [source]
-    with knowing_effects_in(effects):
-        loaded = _loaded(sources, bench, model, g, runs, skip_bad_rows=skip_bad_rows)
-        if free_sources(loaded):
-            return free_diagnosis_of(loaded, one_block=one_block)
-        body = body_of(loaded, one_block=one_block)
-        return DiagnosisResult(body.source, diagnosis_of(body.source, body.nominal))
+    return diagnosed_alone(request, whole_body(request))
+
+
+def _diagnose_each(request: Diagnose) -> list[Diagnosed | Failed]:
+    """Return the diagnosis of each source by itself, side by side; a `Failed` for each that could not be.
+
+    What is wrong with one alone is raised. All else as in `diagnose`.
+    """
+    return diagnosed(request, single_bodies(request))
+
+
+diagnose = python_call(Diagnose, _diagnose, source=DIAGNOSED)
+diagnose_each = python_call(Diagnose, _diagnose_each, source=DIAGNOSED)
 
 
 def _confirm(request: Confirm) -> ConfirmationResult:

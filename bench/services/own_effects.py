@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from bench.config.model_file import accept, load_model, write_model_file
 from bench.model.effects import CATALOGUE
 from bench.run.folder import EFFECTS, Run
 from bench.services.errors import Refused
+from bench.services.requests.diagnosis import Accept
 
 if TYPE_CHECKING:
     from bench.services.source import Source
@@ -52,38 +53,23 @@ def knowing_effects_on_record(run: Run) -> AbstractContextManager[None]:
     return CATALOGUE.also(load_effects(file) if file.is_file() else ())
 
 
-@dataclass(frozen=True)
-class Written:
-    """The files that were written."""
+def accept_terms(request: Accept) -> tuple[Path, Path]:
+    """Write the effect, and the model with it in place of the terms; return both files, that of the effect first.
 
-    effects: Path
-    model: Path
-
-
-def accept_terms(
-    model: Path,
-    name: str,
-    sentence: str,
-    *,
-    terms: Sequence[str] = (),
-    shown_by: str | None = None,
-    out: Path | None = None,
-) -> Written:
-    """Write the effect of this name, and the model with it in place of the terms. Raises `Refused`, `FileMistakes`.
-
-    Nothing is overwritten.
+    Nothing is overwritten. Raises `Refused`, `FileMistakes`.
     """
+    model, name = request.model, request.name
     file = load_model(model)
     try:
-        accepted = accept(file.applied_effects(), terms, name, sentence)
-        effect = replace(accepted.effect, shown_by=shown_by or accepted.effect.shown_by)
+        accepted = accept(file.applied_effects(), request.term or (), name, request.sentence)
+        effect = replace(accepted.effect, shown_by=request.shown_by or accepted.effect.shown_by)
         if effects_as_written(written_formulas([effect])) != (effect,):
             raise ValueError(f"--name {name}: expected small letters, digits and _, a letter first")
         with CATALOGUE.also([effect]):
             pass
     except ValueError as problem:
         raise Refused(f"{model}: {problem}") from None
-    place = out or model.with_name(f"{name}.yaml")
+    place = request.out or model.with_name(f"{name}.yaml")
     beside = model.with_name(f"{model.stem}-{name}{model.suffix}")
     for path in (place, beside):
         if path.exists():
@@ -106,4 +92,4 @@ def accept_terms(
         raise Refused(f"{error.filename}: it cannot be written ({error.strerror}); say --out FILE") from None
     except FileMistakes as mistakes:
         raise Refused(str(mistakes)) from None
-    return Written(place, beside)
+    return place, beside

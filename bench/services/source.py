@@ -78,14 +78,14 @@ class Request:
 
 def reading(asked: OnReadings, *sources: Given | Path) -> Request:
     """Return what reads the sources of a request; relative places are those of where the program was called."""
-    model = getattr(asked, "model", None)
+    model, out = getattr(asked, "model", None), getattr(asked, "out", None)
     return Request(
         [str(source) if isinstance(source, Path) else source for source in sources],
         runs_folder(asked.runs),
         str(asked.bench) if isinstance(asked.bench, Path) else asked.bench,
         None if model is None else Path(model),
         asked.g,
-        getattr(asked, "out", None),
+        None if out is None else Path(out),
         asked.skip_bad_rows,
     )
 

@@ -20,6 +20,8 @@ from bench.diagnosis.posterior import posterior
 from bench.diagnosis.show import Simulation, show
 from bench.diagnosis.threshold import channel_steps, size_steps
 from bench.model import CATALOGUE, Effect, ForwardModel, Installation
+from bench.results.diagnosis import found_result
+from bench.results.free_diagnosis import free_result
 from benchmarks.blind_trial.cases import Case
 from benchmarks.blind_trial.outside import FORMULAS
 
@@ -68,7 +70,7 @@ def _own() -> tuple[Effect, ...]:
 def diagnose_case(case: Case) -> dict[str, Any]:
     """Return the diagnosis of a case (see `_diagnosed`), with the formulas of the user's own where it has them."""
     if case.free:
-        return diagnose_free(case.free, one_sensor=True).to_dict()
+        return free_result(diagnose_free(case.free, one_sensor=True)).to_dict()
     with CATALOGUE.also(_own() if case.own else ()):
         return _diagnosed(case)
 
@@ -94,10 +96,10 @@ def _diagnosed(case: Case) -> dict[str, Any]:
         points = {"before": _points(shown.before), "after": _points(shown.after)}
     if several:
         # each block has coefficients of its own
-        return found.to_dict() | {"delta_g": None}
+        return found_result(found).to_dict() | {"delta_g": None}
     nothing = found.candidates.columns[:, :0]
     without = posterior(found.linear, nothing, found.noise)
-    return found.to_dict() | {
+    return found_result(found).to_dict() | {
         "delta_g": points,
         "coefficients": {
             name: {

@@ -62,3 +62,20 @@ def test_what_confirms_nothing_is_refused(bench):
     status, _, err = bench("confirm", name, "--model", "empty.yaml")
     assert status == 2
     assert "it has no effects" in err
+
+
+@pytest.mark.slow
+def test_in_python_what_is_found_becomes_a_model_that_new_readings_confirm(empty_folder):
+    found = program.diagnose(measured("first.csv", 74, 100e-6))
+    assert (found.verdict, found.to_dict()["model"]) == ("named", None)
+    assert [path.name for path in Path().iterdir() if path.suffix != ".csv"] == ["found.yaml"]
+    model = found.write_model("mine.yaml")
+    assert program.confirm(measured("again.csv", 75, 100e-6), model=model).verdict == "confirmed"
+    assert found.report("page.html").is_file()
+    with pytest.raises(program.FileMistakes, match="exists and is not overwritten"):
+        found.write_model("mine.yaml")
+    written = found.written()
+    assert written.to_dict()["model"] == str(Path("diagnose/first-model.yaml"))
+    assert Path("diagnose/first.html").is_file()
+    if found.next_measurement is not None:
+        assert found.write_next("next.yaml").read_text(encoding="utf-8").startswith("# Proposed: ")

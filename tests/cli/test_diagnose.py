@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 
 import bench as program
-from bench.cli.diagnose import told
 from bench.config.model_file import load_model
-from bench.diagnosis.full import TooLittleLeft
+from bench.diagnosis.full import MistakesAlone
 from bench.diagnosis.mistakes.search import Mistake
 from bench.readings.csv import write_csv
+from bench.services.bodies import body_of
+from bench.services.diagnosis import MistakesResult
 from bench.services.source import Request, load_sources
 from tests.support.diagnosis_bench import paper_run
+from tests.support.schemas import keeps_to
 
 BOTH_WAYS = (1, -1, 1)
 HIDDEN = """\
@@ -290,8 +292,11 @@ def test_what_too_little_is_left_of_is_written_as_a_copy(bench):
     (source,) = load_sources(Request([name], Path("runs")))
     mistake = Mistake("other_mounting", (), ("1",), None, None, "it sat otherwise", 1e-9, ())
     left = source.readings.select(np.arange(len(source.readings)) < 5)
-    told(TooLittleLeft((mistake,), "5 readings are too few", left, simulated=False), source, "m.json")
-    result = result_of("m.json")
+    found = MistakesAlone(name, False, (mistake,), left, "5 readings are too few")
+    written = MistakesResult(body_of([source]), found).written()
+    assert "5 readings are too few" in repr(written)
+    result = written.to_dict()
+    keeps_to("diagnose", result)
     assert result["corrected"] | {"rests_on": []} == {
         "readings": "diagnose/r-corrected.csv", "used": 5, "verdict": None, "rests_on": [],
     }  # fmt: skip

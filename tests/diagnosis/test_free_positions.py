@@ -10,6 +10,7 @@ from bench.diagnosis.free_positions import all_free, diagnose_free
 from bench.diagnosis.free_records import make_rows
 from bench.readings.csv import read_csv
 from bench.readings.table import make_readings
+from bench.results.diagnosis_parts import gap_part
 
 MIMU = Path(__file__).parents[1] / "data" / "mimu"
 K = np.array([[2060.0, 12.0, -7.0], [0.0, 2045.0, 21.0], [0.0, 0.0, 2052.0]])
@@ -49,8 +50,8 @@ def test_a_square_of_the_sensor_is_named_with_its_size():
     first = found.found[0]
     assert "quadratic_nonlinearity" in {first.name, *first.cannot_tell_from}
     if first.name == "quadratic_nonlinearity":
-        value = first.parameters["K2"]["y"]
-        assert abs(value["value"] - 2000.0) < 4 * value["u"]
+        value = next(one for one in first.parameters if (one.parameter, one.channel) == ("K2", "y"))
+        assert abs(value.value - 2000.0) < 4 * value.u
     assert found.gap.after < 0.2 * found.gap.before
 
 
@@ -131,7 +132,7 @@ def test_so_many_as_determine_the_coefficients_say_nothing_of_what_is_missing():
         diagnose_free([positions(5, 10)])
     # a fifth held out leaves too few: the gap is not measured, and nothing is named by it
     few = diagnose_free([positions(5, 13)])
-    assert few.gap.to_dict()["before"] is None
+    assert gap_part(few.gap).before is None
     assert few.verdict != "named"
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from bench.diagnosis.gap import BLIND, NOT_THERE, OWN_VALUE, Fold, Gap, HeldOut
 from bench.diagnosis.posterior import NoiseSize
+from bench.results.diagnosis_parts import gap_part
 
 ROWS = 50
 NOISE = NoiseSize(15e-6, 1.6e-5, 150)
@@ -30,7 +31,7 @@ def test_a_gap_that_closes_shrinks_and_says_how_far():
     assert one.reason == ""
     assert (one.before, one.after) == (pytest.approx(4.0), pytest.approx(1.1))
     assert one.closed == pytest.approx(2.9 / 3.0)
-    told = one.to_dict()
+    told = gap_part(one).to_dict()
     assert told["before_rms_ug"] == pytest.approx(15.0)
     assert told["after_rms_ug"] == pytest.approx(10.0)
     assert told["expected_rms_ug"] == pytest.approx(9.0)
@@ -75,7 +76,7 @@ def test_a_fold_that_cannot_confirm_is_left_out_with_its_number_and_why():
     )
     assert [f.label for f in one.opened] == ["pass 1"]
     assert one.before == pytest.approx(3.0)
-    told = {f["what"]: f for f in one.to_dict()["held_out"]}
+    told = {f["what"]: f for f in gap_part(one).to_dict()["held_out"]}
     assert told["verification and free positions"]["left_out"] == BLIND
     assert told["verification and free positions"]["before"] == pytest.approx(9.0)
     assert told["pass 2"]["left_out"] == NOT_THERE
@@ -95,12 +96,12 @@ def test_a_fold_that_is_made_worse_counts_whether_or_not_it_could_confirm():
 
 def test_where_no_fold_measures_it_the_gap_is_none_and_says_why():
     one = gap(fold("pass 1", 1.2, 1.2, blind=BLIND), fold("pass 2", 1.2, 1.2, blind=BLIND))
-    told = one.to_dict()
+    told = gap_part(one).to_dict()
     assert one.shrinks is None
     assert (told["before"], told["after"], told["closed"], told["before_rms_ug"]) == (None,) * 4
     assert told["reason"] == f"nothing held out can measure the gap (pass 1, pass 2: {BLIND})"
     assert gap().reason == "nothing can be held out: one pass, and no verification or free position"
-    alone = gap(undetermined=("pass 1",)).to_dict()
+    alone = gap_part(gap(undetermined=("pass 1",))).to_dict()
     assert "without pass 1 the rest does not determine the coefficients" in alone["reason"]
     assert alone["held_out"][0]["before"] is None
 

@@ -18,7 +18,7 @@ from bench.diagnosis.posterior import known_together
 from bench.diagnosis.show import CoefficientChange, contradicted
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.csv import write_csv
-from bench.results.diagnosis.words import less_certain, p_in_column, p_in_words, parameters_in_words
+from bench.results.diagnosis_words import less_certain, p_in_column, p_in_words, parameters_in_words
 from tests.support.diagnosis_bench import MODEL, STAND, paper_run
 
 K2_STATED = """\

@@ -10,17 +10,19 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from bench.cli import measure
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.diagnosis import Threshold, ThresholdCache, diagnose
 from bench.diagnosis.linear import make_linear
 from bench.diagnosis.next_measurement import MENU, following, planned_readings, propose
-from bench.diagnosis.next_measurement import following as following_command
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.visibility import EffectPart, ReadingDesign, forms_everywhere
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
+from bench.results.diagnosis import ProposalPart
 from bench.run.folder import Run
+from bench.services.requests.measuring import RunRequest
 from tests.support import paper_bench
 
 BENCH = load_bench(find_bench("paper-stand"))
@@ -310,7 +312,7 @@ def test_a_proposal_is_a_procedure_and_never_written_over_another_file(drifting,
     assert load_procedure(second).plan.steps == plan_of("inputs").steps
     status, _, _ = bench("check", second)
     assert status == 0
-    as_json = written.to_dict()
+    as_json = ProposalPart.model_validate(written).to_dict()
     assert as_json["procedure"] == str(second)
     assert as_json["settles"][0]["after"] > 8.0
 
@@ -324,10 +326,9 @@ def fake_diagnosis(monkeypatch, *proposed):
 
     def diagnosed_(runs):
         seen.append([run.name for run in runs])
-        proposal = SimpleNamespace(procedure=Path(proposed[0]), minutes=60.0) if proposed else None
-        return SimpleNamespace(next_measurement=proposal)
+        return SimpleNamespace(procedure=Path(proposed[0]), minutes=60.0) if proposed else None
 
-    monkeypatch.setattr(following_command, "_diagnosed", diagnosed_)
+    monkeypatch.setattr(measure, "_diagnosed", diagnosed_)
     return seen
 
 
@@ -361,9 +362,12 @@ def test_nothing_follows_where_nothing_would_tell_more(bench, monkeypatch, tmp_p
 def test_on_real_instruments_the_person_is_asked(monkeypatch, tmp_path, answer, carried_out):
     fake_diagnosis(monkeypatch, "next.yaml")
     monkeypatch.setattr("sys.stdin", io.StringIO(answer))
-    monkeypatch.setattr(following_command.printing, "console", lambda: Console(file=io.StringIO()))
+    monkeypatch.setattr(measure.printing, "console", lambda: Console(file=io.StringIO()))
     done = []
+    monkeypatch.setattr(measure, "_measured", lambda request, _: (None, done.append(request) or 1))
     run = SimpleNamespace(name="a", folder=tmp_path / "a", simulated=False)
-    status = following_command.follow(run, lambda procedure, name: done.append((procedure, name)) or 1)
-    assert done == ([("next.yaml", "a-2")] if carried_out else [])
+    status = measure._follow(run, RunRequest("first.yaml", until="all=1e-4"))
+    assert [(one.procedure, one.name, one.until) for one in done] == [
+        ("next.yaml", "a-2", None)
+    ] * carried_out
     assert status == (1 if carried_out else 0)

@@ -6,20 +6,18 @@ import re
 import numpy as np
 import pytest
 
+import bench as program
 from bench.base.numbers import fixed
-from bench.cli.diagnose import examined
 from bench.diagnosis import NamedEffect
 from bench.diagnosis.result import EffectValue
 from bench.readings.csv import write_csv
-from bench.results.diagnosis.words import (
+from bench.results.diagnosis_words import (
     effect_title,
     micro_g,
     parameters_in_words,
     smallest_found,
     unit_in_print,
 )
-from bench.services.diagnosis import Body
-from bench.services.source import Request, load_sources
 from tests.support.diagnosis_bench import paper_run
 
 pytestmark = pytest.mark.slow
@@ -28,9 +26,8 @@ pytestmark = pytest.mark.slow
 def page_of(folder, seed, **hidden):
     """Diagnose readings of the independent simulation; return the result and the page."""
     write_csv(paper_run(np.random.default_rng(seed), directions=(1, -1, 1), **hidden), folder / "r.csv")
-    request = Request([str(folder / "r.csv")], folder)
-    (source,) = load_sources(request)
-    return examined(Body(source, ("0",))), (folder / "diagnose" / "r.html").read_text(encoding="utf-8")
+    found = program.diagnose(folder / "r.csv", write=True)
+    return found, (folder / "diagnose" / "r.html").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +72,7 @@ def test_the_figures_are_those_of_the_result(named):
     gap = full.diagnosis.gap
     assert f"{gap.before:.2f} before, {gap.after:.2f} after; noise alone gives 1" in text
     assert full.diagnosis.registered.sha256 in text
-    assert str(full.model) in text
+    assert str(full.files.model) in text
     for fold in gap.folds:
         assert fold.label in text
 
@@ -85,8 +82,8 @@ def test_the_first_screen_has_verdict_gap_and_what_to_do(named):
     first = text_of(page[: page.index("Measured and simulated")])
     gap = full.diagnosis.gap
     assert f"Gap closed {min(100 * gap.closed, 100):.0f} %, from {micro_g(gap.before_rms_g)} to " in first
-    assert f"bench calibrate {full.source} --model {full.model}" in first
-    assert f"bench confirm NEW --model {full.model}" in first
+    assert f"bench calibrate {full.source.name} --model {full.files.model}" in first
+    assert f"bench confirm NEW --model {full.files.model}" in first
 
 
 def test_measured_and_simulated_signals_stand_in_one_figure(named):
@@ -136,9 +133,7 @@ def test_a_mistake_in_the_readings_is_shown_with_its_correction(cache, tmp_path)
     (tmp_path / "r.csv").write_text(
         text.replace("ux_v", "t_v").replace("uz_v", "ux_v").replace("t_v", "uz_v")
     )
-    request = Request([str(tmp_path / "r.csv")], tmp_path)
-    (source,) = load_sources(request)
-    full = examined(Body(source, ("0",)))
+    full = program.diagnose(tmp_path / "r.csv", write=True)
     page = text_of((tmp_path / "diagnose" / "r.html").read_text(encoding="utf-8"))
     assert full.diagnosis.verdict == "mistake"
     assert "swapped_channels , channel x, z" in page

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from math import isfinite
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -19,6 +21,28 @@ from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedE
 from bench.diagnosis.show import CoefficientChange, Shown, label
 from bench.diagnosis.where import Place
 from bench.model.effects import CATALOGUE
+
+
+@dataclass(frozen=True)
+class Files:
+    """What was written of a diagnosis: copies with mistakes put right, model files (one a sensor), the page."""
+
+    copies: tuple[Path, ...] = ()
+    models: tuple[Path, ...] = ()
+    report: Path | None = None
+
+    @property
+    def copy(self) -> Path | None:
+        """The first copy; None where none was written."""
+        return next(iter(self.copies), None)
+
+    @property
+    def model(self) -> Path | None:
+        """The first model file; None where none was written."""
+        return next(iter(self.models), None)
+
+
+NO_FILES: Final = Files()
 
 UNITS: Final = (("ug", "µg"), ("uV", "µV"), ("^2", "²"), ("^3", "³"), ("arcsec", "″"))
 """Units as files write them, and as a page does."""
@@ -239,12 +263,12 @@ def what_in_words(diagnosis: Diagnosis) -> str:
     return "; ".join([*(effect.words for effect in effects), *(one.words for one in diagnosis.findings)])
 
 
-def what_to_do(full: FullDiagnosis) -> Iterator[str]:
+def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
     """Yield what a person does after a diagnosis, a sentence each, with the commands to type."""
-    diagnosis, source, model = full.diagnosis, full.source, full.model
+    diagnosis, source, model = full.diagnosis, full.source, files.model
     if diagnosis.verdict == "mistake":
         yield "Put it right on the bench and measure again" + (
-            f"; until then the corrected copy is {full.copy}" if full.copy else ""
+            f"; until then the corrected copy is {files.copy}" if files.copy else ""
         )
     if model is not None:
         yield f"Take the model: bench calibrate {source} --model {model}"
@@ -322,13 +346,13 @@ def still_missing(shown: Shown) -> bool:
     return shown.last.tested and shown.last.test.shown
 
 
-def evidence_in_words(full: FullDiagnosis) -> dict[str, str]:
+def evidence_in_words(full: FullDiagnosis, file_of_copy: Path | None) -> dict[str, str]:
     """Return what speaks for each effect and for the whole, for the reader of the model file."""
     diagnosis, gap = full.diagnosis, full.diagnosis.gap
     evidence = {"found in": full.source}
     if diagnosis.mistakes.mistakes:
         mended = "; ".join(mistake.words for mistake in diagnosis.mistakes.mistakes)
-        copy = "a copy" if full.copy is None else str(full.copy)
+        copy = "a copy" if file_of_copy is None else str(file_of_copy)
         evidence["rests on"] = f"{copy} with these mistakes put right: {mended}"
     for effect, found in zip(diagnosis.effects, diagnosis.naming.found, strict=False):
         text = (
@@ -451,3 +475,12 @@ def _dark_in_words(dark: Dark, unit: str) -> str:
         )
     sizes = f"{quantity(dark.value, unit)} in each reading, u {quantity(dark.u, unit)}, {limit}"
     return f"what stays unexplained: {sizes} (dark uncertainty)"
+
+
+def dark_for_model(form: FreeForm) -> str | None:
+    """Return what stays unexplained beside the terms of what has no name, as a model file says it."""
+    if not form.applied or not isfinite(form.dark.upper):
+        return None
+    if form.dark.there:
+        return f"{form.dark.value:.3g} {form.unit} with u {form.dark.u:.2g} {form.unit}"
+    return f"less than {form.dark.upper:.2g} {form.unit} (95 %)"

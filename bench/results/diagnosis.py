@@ -1,0 +1,560 @@
+"""The result of `bench diagnose`: its JSON, and its text for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import numpy as np
+from pydantic import Field
+from rich.console import Console
+
+from bench.base.arrays import CHANNELS
+from bench.base.computing import quiet
+from bench.base.numbers import concise, quantity, typeset
+from bench.base.result_model import Real, ResultModel, Vector
+from bench.base.tables import table
+from bench.diagnosis import Diagnosis, NamedEffect
+from bench.diagnosis.full import FullDiagnosis, MistakesAlone, Rival
+from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.next_measurement import Separation
+from bench.diagnosis.residual_search import UNNAMED_FORM
+from bench.diagnosis.result import Registration, Verdict
+from bench.diagnosis.show import SEED, CoefficientChange, Shown, Simulation
+from bench.diagnosis.where import Place
+from bench.model import CATALOGUE
+from bench.results import diagnosis_words as words
+from bench.results.diagnosis_parts import (
+    EffectPart,
+    FindingPart,
+    FormPart,
+    GapPart,
+    NoisePart,
+    OfChannels,
+    VerdictOfCopy,
+    form_part,
+    gap_part,
+    mistake_part,
+)
+from bench.results.diagnosis_words import Files
+from bench.results.parts import BenchPart, CorrectionPart
+
+
+class OrientationPart(ResultModel):
+    """How the block was oriented at the verification points."""
+
+    off_deg: float = Field(description="turn between what the signals say and what the bench file states")
+    axis: Vector = Field(description="about this axis of the block")
+    contradicts_bench_file: bool = Field(description="then the signals are believed")
+
+
+class ProposalPart(ResultModel):
+    """What to measure next."""
+
+    why: str
+    procedure: Path = Field(description="path of the procedure that was written")
+    minutes: float
+    settles: list[Separation] = Field(description="ties that it would settle")
+    shows: list[str] = Field(description="hidden effects that it would show")
+    left_out: dict[str, str] = Field(description="procedures that this bench cannot carry out, and why")
+
+
+class ModulusPart(ResultModel):
+    """Error of the modulus at a verification point."""
+
+    angle_deg: float
+    pass_number: int = Field(alias="pass")
+    point: int
+    delta_g: Real = Field(description="g")
+    u: Real = Field(description="g")
+
+
+class SimulationPart(ResultModel):
+    """The model beside the readings; null where nothing repeats."""
+
+    chi2: Real
+    dof: float
+    p: Real = Field(description="of the readings beside the model")
+    rms: Real = Field(description="of what is left")
+    rms_of_a_simulated_run: Real
+    seed: int
+    verification_joined: bool = Field(description="whether the verification points joined the fit")
+    delta_g: list[ModulusPart]
+
+
+class SimulationsPart(ResultModel):
+    """The model that was given, and the one with what was found."""
+
+    before: SimulationPart
+    after: SimulationPart | None
+
+
+class ShiftPart(ResultModel):
+    """A change of a coefficient, in units of its u."""
+
+    coefficient: str
+    in_u: Real
+
+
+class RivalPart(ResultModel):
+    """A family beside what else was found."""
+
+    name: str
+    ln_odds: float = Field(description="ln odds that it is there")
+    tied: bool = Field(description="whether the data cannot tell it from what was found")
+    largest_shift: ShiftPart = Field(description="the coefficient that would change most, were it this one")
+
+
+class CopyPart(ResultModel):
+    """The copy with mistakes put right."""
+
+    readings: Path | None = Field(description="the readings file of the copy; null where it was not written")
+    used: int = Field(description="readings in the copy")
+    verdict: VerdictOfCopy | None = Field(
+        description="what the search on the copy came to; null where it is too little to fit"
+    )
+    rests_on: list[str] = Field(description="the mistakes that are put right in it")
+
+
+Coefficients = Annotated[
+    dict[str, CoefficientChange],
+    Field(
+        description="the twelve coefficients, in the order `Kxx`, `Kxy`, … `Kzz`, `U0x`, `U0y`, `U0z`, by the "
+        "model before and after"
+    ),
+]
+
+
+class BlockPart(ResultModel):
+    """One block of several."""
+
+    mountings: list[str]
+    coefficients: Coefficients
+    p_before: Real = Field(description="of the block's readings beside the model that was given")
+    p_after: Real = Field(description="with what was found; null where nothing was")
+
+
+class FoundResult(ResultModel):
+    """What a diagnosis finds in readings."""
+
+    verdict: Verdict = Field(
+        description="where several apply, the first of mistake, unknown, confounded, named"
+    )
+    where: list[Place] = Field(description="patterns of the residuals that stand out, the largest first")
+    effects: list[EffectPart] = Field(description="in the order in which they were added")
+    hidden: list[str] = Field(description="effects that these readings could never show")
+    hidden_parts: dict[str, list[str]] = Field(description="of some effects, the parts of which that is true")
+    absent: dict[str, str] = Field(
+        description="effects that are no candidates, as the bench has nothing that could make them, and why"
+    )
+    unseen_per_turn: list[int] = Field(
+        description="how often a turn an error of the head's angle would have to repeat to be the same at all "
+        "angles measured"
+    )
+    verification_orientation: OrientationPart | None = Field(
+        description="how the block stood at the verification points; null where they do not tell it"
+    )
+    gap: GapPart | None = Field(
+        description="reduced chi-square of readings that were not used in the fit; null where nothing was held "
+        "out; null where mistakes leave too little to fit"
+    )
+    noise: NoisePart | None = Field(description="null where mistakes leave too little to fit")
+    p_left: Real = Field(description="of what the model leaves against the scatter of repeats")
+    form: FormPart | None = Field(
+        description="terms that describe what has no name, how they predict readings held out, what stays dark; "
+        "null where all has one"
+    )
+    detectable: dict[str, Real] = Field(
+        description="smallest size that half of all runs would show, in plausible sizes; null for what never shows"
+    )
+    registered: Registration | None = Field(
+        description="what was fixed before the readings were looked at: threshold, grids, levels, and the hash of "
+        "it all; null where mistakes leave too little to fit"
+    )
+    notes: list[str]
+
+
+class DiagnoseResult(FoundResult):
+    """Where model and readings disagree, the name of what is missing, how far naming it closes the gap.
+
+    `bench diagnose --json`; with several sources a list of these, and of `source-failed` where one could not be
+    evaluated.
+    """
+
+    next_measurement: ProposalPart | None = Field(
+        description="what would settle a tie or show what is hidden"
+    )
+    model: Path | None = Field(description="path of the model file that was written")
+    simulation: SimulationsPart | None = Field(description="null where mistakes leave too little to fit")
+    coefficients: Coefficients
+    ranking: list[list[RivalPart]] = Field(
+        description="for each effect found the families beside it, the most plausible first"
+    )
+    source: str
+    simulated: bool
+    skipped_rows: list[str]
+    report: Path | None = Field(description="path of the page")
+    bench: BenchPart | None
+    corrections: list[CorrectionPart] = Field(
+        description="the certificates of the instruments, and what was done by them; without any an empty list"
+    )
+    corrected: CopyPart | None = Field(
+        description="the copy with mistakes put right, on which all but the mistakes rests; null where there is "
+        "none"
+    )
+    blocks: list[BlockPart] = Field(
+        default=[],
+        description="each block where the readings are of several; `coefficients` and `simulation` are then the "
+        "first's",
+    )
+
+
+def found_result(found: Diagnosis) -> FoundResult:
+    """Return what was found, as the result has it."""
+    turned = found.linear.orientation
+    return FoundResult(
+        verdict=found.verdict,
+        where=list(found.where),
+        effects=[
+            *map(mistake_part, found.mistakes.mistakes),
+            *map(EffectPart.model_validate, found.effects),
+        ],
+        hidden=list(found.hidden),
+        hidden_parts={name: list(parts) for name, parts in found.hidden.items() if parts},
+        absent=dict(found.absent),
+        unseen_per_turn=list(found.unseen_per_turn),
+        verification_orientation=None
+        if turned is None
+        else OrientationPart(
+            off_deg=float(np.degrees(turned.off_rad)),
+            axis=turned.axis,
+            contradicts_bench_file=turned.contradicts,
+        ),
+        gap=gap_part(found.gap),
+        noise=NoisePart(
+            reading=found.noise.reading,
+            setting_arcsec=found.noise.setting_arcsec,
+            dof=found.noise.freedom,
+            channels=OfChannels(**dict(zip(CHANNELS, found.noise_by_channel.tolist(), strict=True))),
+            kinds=list(found.noise_kinds),
+            findings=[FindingPart.model_validate(one) for one in found.findings],
+        ),
+        p_left=found.p_left,
+        form=None if found.form is None else form_part(found.form),
+        detectable=dict(found.detectable),
+        registered=found.registered,
+        notes=list(found.notes),
+    )
+
+
+def diagnose_result(
+    full: FullDiagnosis,
+    files: Files,
+    bench: BenchPart | None,
+    corrections: Sequence[CorrectionPart],
+) -> DiagnoseResult:
+    """Return a diagnosis with the files that were written of it, as `bench diagnose --json` writes it."""
+    diagnosis, shown = full.diagnosis, full.shown
+    mistakes, proposal = diagnosis.mistakes, full.next_measurement
+    blocks = [_block_part(one) for one in full.blocks]
+    return DiagnoseResult(
+        **dict(found_result(diagnosis)),
+        next_measurement=None if proposal is None else ProposalPart.model_validate(proposal),
+        model=files.model,
+        simulation=SimulationsPart(
+            before=_simulation_part(shown.before),
+            after=None if shown.after is None else _simulation_part(shown.after),
+        ),
+        coefficients=shown.coefficients,
+        ranking=[[_rival_part(rival) for rival in one] for one in full.ranking],
+        source=full.source,
+        simulated=full.simulated,
+        skipped_rows=list(full.skipped_rows),
+        report=files.report,
+        bench=bench,
+        corrections=list(corrections),
+        corrected=_copy_part(files, mistakes.mistakes, len(mistakes.corrected), diagnosis.of_copy)
+        if mistakes.mistakes
+        else None,
+        **({"blocks": blocks} if blocks else {}),
+    )
+
+
+def mistakes_result(
+    found: MistakesAlone,
+    files: Files,
+    bench: BenchPart | None,
+    corrections: Sequence[CorrectionPart],
+) -> DiagnoseResult:
+    """Return mistakes that leave too little to fit, as `bench diagnose --json` writes them."""
+    nothing: dict[str, Any] = {
+        **dict.fromkeys(("next_measurement", "verification_orientation", "gap", "model", "noise", "p_left")),
+        **dict.fromkeys(("form", "registered", "simulation", "report")),
+        **dict.fromkeys(("where", "hidden", "unseen_per_turn", "ranking", "skipped_rows"), ()),
+        **{name: {} for name in ("hidden_parts", "absent", "detectable", "coefficients")},
+    }
+    return DiagnoseResult(
+        verdict="mistake",
+        effects=[mistake_part(mistake) for mistake in found.mistakes],
+        notes=[f"put right, {found.reason}"],
+        source=found.source,
+        simulated=found.simulated,
+        bench=bench,
+        corrections=list(corrections),
+        corrected=_copy_part(files, found.mistakes, len(found.corrected), None),
+        **nothing,
+    )
+
+
+def _simulation_part(one: Simulation) -> SimulationPart:
+    return SimulationPart(
+        chi2=one.test.chi2,
+        dof=one.test.dof,
+        p=one.test.p,
+        rms=one.test.rms,
+        rms_of_a_simulated_run=one.repeated.lack_of_fit.rms,
+        seed=SEED,
+        verification_joined=one.joined,
+        delta_g=[ModulusPart.model_validate(point) for point in one.points],
+    )
+
+
+def _rival_part(rival: Rival) -> RivalPart:
+    coefficient, in_u = rival.largest_shift
+    return RivalPart(
+        name=rival.family,
+        ln_odds=rival.evidence,
+        tied=rival.tied,
+        largest_shift=ShiftPart(coefficient=coefficient, in_u=in_u),
+    )
+
+
+def _copy_part(files: Files, mistakes: Sequence[Mistake], used: int, verdict: Verdict | None) -> CopyPart:
+    return CopyPart(
+        readings=files.copy,
+        used=used,
+        verdict=verdict,
+        rests_on=[mistake.words for mistake in mistakes],
+    )
+
+
+def _block_part(shown: Shown) -> BlockPart:
+    return BlockPart(
+        mountings=[str(mount) for mount in shown.before.calibration.fitted.conditions().mounts],
+        coefficients=shown.coefficients,
+        p_before=shown.before.test.p,
+        p_after=None if shown.after is None else shown.after.test.p,
+    )
+
+
+# --- text for the terminal ----------------------------------------------------------------------
+
+LISTED_PLACES: Final = 6
+LISTED_SHIFT: Final = 0.5
+"""A change of a coefficient below this part of its u is not worth a line."""
+
+
+def print_one(full: FullDiagnosis, files: Files, out: Console) -> None:
+    """Print one diagnosis in the order in which it was made."""
+    diagnosis, shown = full.diagnosis, full.shown
+    _notes(full, "", out)
+    _mistakes(diagnosis, out)
+    _places(diagnosis, out)
+    for number, effect in enumerate(diagnosis.effects):
+        _effect(effect, full.rivals_of(number), out)
+    _form(full.diagnosis, files.model, out)
+    if diagnosis.effects:
+        _gap(diagnosis, shown, out)
+    if full.blocks:
+        _blocks(full, out)
+    elif shown.after is not None:
+        _consequence(shown, out)
+    _limits_of_sight(full, out)
+    _files(full.diagnosis, files, out)
+    lead = words.lead(diagnosis).upper()
+    out.print(f"{full.source}: {lead}: {typeset(words.verdict_in_words(diagnosis))}", style="bold")
+
+
+def print_several(results: Sequence[tuple[FullDiagnosis, Files]], out: Console) -> None:
+    """Print a line for each of several diagnoses, with the files that were written of it."""
+    rows = table("source", "verdict", "what", ">p, all looks", ">gap before", ">after", "model")
+    for full, files in results:
+        diagnosis, gap = full.diagnosis, full.diagnosis.gap
+        mistakes = diagnosis.mistakes.mistakes
+        looks = [*(one.p for one in mistakes), *(one.p_all_looks for one in diagnosis.effects)]
+        rows.add_row(
+            full.source,
+            diagnosis.verdict,
+            words.alike_in_words([*mistakes, *diagnosis.effects]) or "nothing",
+            typeset(words.p_in_column(min(looks))) if looks else "",
+            *(f"{size:.2f}" if gap.opened else "–" for size in (gap.before, gap.after)),
+            str(files.model or ""),
+        )
+    for full, _ in results:
+        _notes(full, f"{full.source}: ", out)
+    out.print(rows)
+    out.print("gap: reduced chi-square of readings held out, 1 is noise alone")
+    for _, files in results:
+        if files.report:
+            out.print(f"report: {files.report}")
+
+
+def _notes(full: FullDiagnosis, lead: str, out: Console) -> None:
+    for note in full.diagnosis.notes:
+        if not quiet.get():
+            out.print(f"note: {lead}{note}")
+    for row in full.skipped_rows:
+        out.print(f"left out: {row}")
+
+
+def _places(diagnosis: Diagnosis, out: Console) -> None:
+    if not diagnosis.where:
+        out.print("Readings and model disagree nowhere: no pattern of the residuals stands out of the noise")
+        return
+    out.print("Where readings and model disagree, the largest first:")
+    for place in diagnosis.where[:LISTED_PLACES]:
+        out.print(f"  {typeset(words.place_in_words(place))}")
+    more = len(diagnosis.where) - LISTED_PLACES
+    if more > 0:
+        out.print(f"  and {more} more")
+
+
+def print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:
+    """Print mistakes that leave too little to fit anything, and what is missing."""
+    for mistake in found.mistakes:
+        out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
+    out.print(f"Put right in a copy, {found.reason}")
+    if files.copy is not None:
+        out.print(f"corrected copy of the readings: {files.copy}")
+    names = ", ".join(dict.fromkeys(mistake.name for mistake in found.mistakes))
+    lead = words.LEAD["mistake"].upper()
+    out.print(
+        f"{found.source}: {lead}: {names}; put it right and measure again what is missing", style="bold"
+    )
+
+
+def _mistakes(diagnosis: Diagnosis, out: Console) -> None:
+    for mistake in diagnosis.mistakes.mistakes:
+        out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
+        out.print("  what follows is from a copy with it put right; the record is as it was")
+    if diagnosis.mistakes.mistakes:
+        used = len(diagnosis.mistakes.corrected)
+        out.print(f"Put right, {used} readings are searched")
+
+
+def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None:
+    out.print(f"Found: {words.effect_title(effect)}", style="bold")
+    out.print(f"  {effect.words}")
+    for line in words.parameters_in_words(effect):
+        out.print(f"  {line}")
+    if effect.aliases:
+        orders = words.orders_in_words(effect.aliases)
+        out.print(f"  at the angles measured what repeats {orders} times a turn would look the same")
+    rho = f", {effect.rho:.1f} times the noise in all (rho)" if effect.rho is not None else ""
+    out.print(typeset(f"  {words.p_in_words(effect.p_all_looks)} with all looks counted{rho}"))
+    for other in effect.cannot_tell_from:
+        parts = [other, words.shift_in_words(ranking, other)]
+        if other in CATALOGUE:
+            parts.append(f"to tell them apart: {CATALOGUE[other].shown_by}")
+        if other == UNNAMED_FORM:
+            parts.append("something without a name, of another form, is as plausible")
+        out.print(f"  the data cannot tell it from {'; '.join(filter(None, parts))}")
+    for other in effect.plainer_than:
+        why = "would explain it with more parameters, the plainer one is taken"
+        parts = [f"{other} {why}", words.shift_in_words(ranking, other)]
+        out.print(f"  {'; '.join(filter(None, parts))}")
+
+
+def _form(diagnosis: Diagnosis, model: Path | None, out: Console) -> None:
+    lines = list(words.form_in_words(diagnosis))
+    if not lines:
+        return
+    out.print("The form of what has no name:", style="bold")
+    for line in lines:
+        out.print(f"  {typeset(line)}")
+    if diagnosis.form is not None and diagnosis.form.applied and model is not None:
+        out.print(f"  to give it a name: bench accept {model} --name NAME --sentence TEXT")
+
+
+def _gap(diagnosis: Diagnosis, shown: Shown, out: Console) -> None:
+    gap, after = diagnosis.gap, shown.after
+    if gap.opened:
+        told = words.closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
+        out.print(
+            f"{told[0].upper()}{told[1:]}, on readings not used: reduced chi-square {gap.before:.2f} before, "
+            f"{gap.after:.2f} after (noise alone: 1; {words.p_in_words(gap.p_after, 2)} after); residuals "
+            f"{quantity(gap.before_rms, gap.unit)} before, {quantity(gap.after_rms, gap.unit)} after"
+        )
+    for line in words.left_out_in_words(gap):
+        out.print(f"  not counted: {line}")
+    if gap.reason:
+        out.print(f"  not confirmed: {gap.reason}")
+    if after is not None and after.tested:
+        with_it, without = (words.p_in_words(one.test.p, 2) for one in (after, shown.before))
+        out.print(
+            typeset(
+                f"Simulated bench against the readings, by the scatter of their own repeats: {with_it} with it, "
+                f"{without} without"
+            )
+        )
+        if diagnosis.findings:
+            out.print(f"  {words.LOUD_REPEATS}")
+        if words.still_missing(shown):
+            out.print(f"  {words.STILL_MISSING}")
+    for line in words.joined_in_words(shown):
+        out.print(f"  {typeset(line)}")
+
+
+def _consequence(shown: Shown, out: Console) -> None:
+    coefficients = shown.coefficients
+    changed = [(name, one.in_u) for name, one in coefficients.items() if abs(one.in_u) >= LISTED_SHIFT]
+    if not changed:
+        return
+    changed.sort(key=lambda pair: -abs(pair[1]))
+    shifts = ", ".join(f"{name} by {in_u:+.1f} u" for name, in_u in changed)
+    out.print(typeset(f"Coefficients that change, in units of u before: {shifts}"))
+    wider = words.less_certain(coefficients)
+    if wider:
+        out.print(f"  less certain with it: {', '.join(wider)}")
+
+
+def _blocks(full: FullDiagnosis, out: Console) -> None:
+    """Print the coefficients of each block; what is the stand's and the meters' was told once, for all."""
+    changed = any(block.after is not None for block in full.blocks)
+    out.print(f"Coefficients of each block{', with what was found' if changed else ''}; in brackets u:")
+    rows = table("block", *(f">{name}" for name in full.blocks[0].coefficients), ">p")
+    for number, block in enumerate(full.blocks, start=1):
+        values = [concise(one.after, one.u_after) for one in block.coefficients.values()]
+        p = typeset(words.p_in_column(block.last.test.p, 2)) if block.last.tested else "–"
+        rows.add_row(f"{number}: {words.mountings_of(block)}", *values, p)
+    out.print(rows)
+    out.print("p: of the simulated bench against the readings of the block, by the scatter of their repeats")
+
+
+def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
+    diagnosis, proposal = full.diagnosis, full.next_measurement
+    if proposal is not None:
+        out.print(f"Measure next: {proposal.why} ({proposal.procedure})")
+    if diagnosis.hidden:
+        out.print(f"These readings could never show: {', '.join(diagnosis.hidden)}")
+    if diagnosis.unseen_per_turn:
+        out.print(
+            "Nor an error of the head's angle that repeats "
+            f"{words.orders_in_words(diagnosis.unseen_per_turn)} times a turn: it is the same at all of them"
+        )
+    if diagnosis.absent:
+        reasons = "; ".join(f"{name} ({why})" for name, why in diagnosis.absent.items())
+        out.print(f"Not looked for, as the bench has nothing that could: {reasons}")
+    if diagnosis.verdict == "agrees":
+        sizes = [f"{name} {size}" for name, size in words.smallest_found(diagnosis)]
+        out.print(f"Smaller effects would not show. Found in half of all runs: {'; '.join(sizes)}")
+
+
+def _files(diagnosis: Diagnosis, files: Files, out: Console) -> None:
+    told = {"corrected copy of the readings": files.copy, "model": files.model, "report": files.report}
+    for what, file in told.items():
+        if file is not None:
+            out.print(f"{what}: {file}")
+    if diagnosis.of_copy == "confounded" and files.model is None:
+        out.print(f"no model file is written {words.why_no_model(diagnosis)}")

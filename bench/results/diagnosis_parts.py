@@ -1,0 +1,374 @@
+"""Parts of a diagnosis as it is written as JSON: what was found, the gap, the noise, the terms without a name."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from bench.base.result_model import Real, ResultModel
+from bench.diagnosis.gap import FLOOR, UNDETERMINED, Fold, Gap, rms
+from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.noise_kinds import NoiseKind
+from bench.diagnosis.posterior import KnownTogether
+from bench.diagnosis.residual_model import FormTerm, FreeForm, Scatter
+
+VerdictOfCopy = Literal["agrees", "named", "confounded", "unknown"]
+
+
+class ValuePart(ResultModel):
+    """A parameter as estimated; without u a shape, which was tried."""
+
+    value: float
+    u: float = 0.0
+    unit: str
+
+
+def _nested(values: Any) -> Any:
+    """Return values by installations, parameter and channel, each level where there is one."""
+    if not isinstance(values, tuple):
+        return values
+    tree: dict[str, Any] = {}
+    for one in values:
+        *levels, last = [key for key in (one.installations, one.parameter, one.channel) if key]
+        branch = tree
+        for key in levels:
+            branch = branch.setdefault(key, {})
+        u = {} if one.u is None else {"u": one.u}
+        branch[last] = {"value": one.value, **u, "unit": one.unit}
+    return tree
+
+
+Parameters = Annotated[
+    dict[str, ValuePart | dict[str, ValuePart | dict[str, ValuePart]]], BeforeValidator(_nested)
+]
+
+
+class MistakePlace(ResultModel):
+    """Where a mistake is, and how the misfit of all readings, in units of their noise, changes when put right."""
+
+    pass_number: int | None = Field(alias="pass")
+    point: int | None
+    misfit_before: Real
+    misfit_after: Real
+
+
+class FoundPart(ResultModel):
+    """What was found, whatever the readings are of."""
+
+    name: str = Field(description="from the catalogue, or what kind of mistake or unnamed pattern it is")
+    channels: list[str]
+    cannot_tell_from: list[str] = Field(description="what explains the readings equally well")
+    parameters: MistakePlace | Parameters = Field(
+        description="values with `u` and `unit`, by parameter and channel; of a mistake where it is and how the "
+        "misfit changes"
+    )
+    p: Real = Field(description="for this effect alone")
+    p_all_looks: Real = Field(
+        description="everything that was looked at counted; of a mistake never 0, 2.2e-308 stands for less"
+    )
+    rho: Real = Field(default=None, description="size in units of noise")
+    words: str = Field(description="the sentence on it")
+
+
+class EffectPart(FoundPart):
+    """An effect or a mistake that was found."""
+
+    installations: list[str] = Field(description="mountings that have it; empty where it is of all")
+    plainer_than: list[str] = Field(
+        default=[], description="larger families of the same subsystem that contain it"
+    )
+    together: list[KnownTogether] = Field(
+        default=[], description="sums or differences that the readings tell where they hardly tell the values"
+    )
+    shape_held: bool = Field(
+        default=False,
+        description="whether each u of the parameters is that with the effect's shape as it was found",
+    )
+    aliases: list[int] = Field(
+        default=[], description="other periods a turn that would look the same at the angles measured"
+    )
+
+
+class FoldPart(ResultModel):
+    """Readings held out."""
+
+    what: str
+    confirmable: bool = Field(description="whether the other readings could have shown the effect")
+    counted: bool = Field(
+        description="whether it counts in `before` and `after` above: it can confirm what was found, or is made "
+        "worse by what the others named"
+    )
+    left_out: str | None = Field(description="why it does not count")
+    named_without_it: list[str]
+    before: Real
+    after: Real
+    before_rms_ug: Real
+    after_rms_ug: Real
+
+
+class GapPart(ResultModel):
+    """Reduced chi-square of readings that were not used in the fit."""
+
+    before: Real = Field(
+        description="with the model before; null where no fold measures it, `reason` says why"
+    )
+    after: Real = Field(description="with what was named")
+    floor: float = Field(description="its expectation when nothing is missing")
+    closed: Real = Field(
+        description="(before - after)/(before - floor): the part of the gap that is closed; null where nothing is "
+        "above the floor"
+    )
+    shrinks: bool | None = Field(
+        description="whether it shrinks by the rule in `registered`, without which nothing is named alone; null "
+        "where nothing was found or nothing measures it"
+    )
+    reason: str | None = Field(description="why readings held out do not confirm what was found")
+    p_after: Real = Field(description="chance of more than `after`")
+    before_rms: Real = Field(description="root mean square of measured less predicted, in `unit`")
+    after_rms: Real
+    before_rms_ug: Real = Field(
+        description="root mean square of measured less predicted, in µg by the scale factors"
+    )
+    after_rms_ug: Real
+    expected_rms_ug: Real = Field(
+        description="what after_rms_ug is expected to be when nothing is missing: noise, and the uncertainty of "
+        "the prediction"
+    )
+    noise_rms: float = Field(description="of a reading, in `unit`")
+    unit: str
+    held_out: list[FoldPart]
+
+
+class OfChannels(ResultModel):
+    """A number for each channel."""
+
+    x: float
+    y: float
+    z: float
+
+
+class FindingPart(ResultModel):
+    """Noise that is larger than stated."""
+
+    what: Literal["reading", "setting"]
+    found: float
+    stated: float
+    unit: str
+    factor: float = Field(description="found over stated, more than 2")
+    p: float
+    source: str = Field(description="what states it: the readings' own scatter or the bench file")
+    series: list[int] = Field(
+        default=[], description="of the run that it is of, where runs have noise of their own"
+    )
+    words: str
+
+
+class NoisePart(ResultModel):
+    """The noise, from the scatter of the readings."""
+
+    reading: float = Field(description="of a reading, unit of the signal")
+    setting_arcsec: float
+    dof: int
+    channels: OfChannels = Field(
+        description="of a reading of each channel; the root of their mean square is reading"
+    )
+    kinds: list[NoiseKind] = Field(
+        description="in what the noise is not normal and of one size in all channels; the search reckons with it"
+    )
+    findings: list[FindingPart] = Field(
+        description="noise larger than stated; with one the verdict is unknown"
+    )
+
+
+class SizePart(ResultModel):
+    """A size of a term, as estimated; `channel` is null where it is of all."""
+
+    parameter: str
+    channel: str | None
+    value: float
+    u: float
+    unit: str
+
+
+class TermPart(ResultModel):
+    """A term that describes what has no name."""
+
+    name: str
+    stage: str = Field(description="where it is added in the chain from the head to the voltmeter")
+    adds_to: str | None
+    expression: str
+    constants: dict[str, ValuePart]
+    channels: list[str]
+    sizes: list[SizePart]
+    family: str
+    could_also_be: list[str]
+    rho: float = Field(description="size in units of noise")
+    p: float = Field(description="for this term alone")
+
+
+class FormFoldPart(ResultModel):
+    """Readings held out of the search for terms."""
+
+    what: str
+    counted: bool
+    before: float
+    after: float
+
+
+class FormGapPart(ResultModel):
+    """Reduced chi-square of readings that were not used to find the terms."""
+
+    before: Real
+    after: Real
+    floor: float
+    closed: Real
+    before_rms: Real
+    after_rms: Real
+    unit: str
+    held_out: list[FormFoldPart]
+
+
+class DarkPart(ResultModel):
+    """What stays unexplained in each reading."""
+
+    value: float = Field(description="1 sigma; 0 where it is no more than chance gives")
+    u: Real
+    upper_95: Real
+    p: float
+
+
+class FormPart(ResultModel):
+    """Terms that describe what has no name."""
+
+    terms: list[TermPart]
+    instead_of: list[str] = Field(description="the named effects in whose place the terms are as plausible")
+    gap: FormGapPart
+    dark_uncertainty: float = Field(description="what stays unexplained in each reading, 1 sigma")
+    dark: DarkPart
+    scatter: Scatter | None = Field(description="where readings scatter more than elsewhere")
+    unit: str
+
+
+# --- from what was found to the result --------------------------------------------------------------
+
+
+def mistake_part(mistake: Mistake) -> EffectPart:
+    """Return a mistake as results have it."""
+    return EffectPart(
+        name=mistake.name,
+        channels=list(mistake.channels),
+        cannot_tell_from=list(mistake.cannot_tell_from),
+        installations=list(mistake.installations),
+        parameters=MistakePlace(
+            pass_number=mistake.pass_number,
+            point=mistake.point,
+            misfit_before=mistake.evidence.before,
+            misfit_after=mistake.evidence.after,
+        ),
+        p=mistake.p,
+        p_all_looks=mistake.p,
+        words=mistake.words,
+    )
+
+
+def gap_part(gap: Gap) -> GapPart:
+    """Return a gap as results have it; its sizes are null where no fold counts."""
+    opened = bool(gap.opened)
+    return GapPart(
+        before=gap.before if opened else None,
+        after=gap.after if opened else None,
+        floor=FLOOR,
+        closed=gap.closed,
+        shrinks=gap.shrinks,
+        reason=gap.reason or None,
+        p_after=gap.p_after,
+        before_rms=gap.before_rms,
+        after_rms=gap.after_rms,
+        before_rms_ug=1e6 * gap.before_rms_g,
+        after_rms_ug=1e6 * gap.after_rms_g,
+        expected_rms_ug=1e6 * gap.expected_rms_g,
+        noise_rms=gap.noise.reading,
+        unit=gap.unit,
+        held_out=[*map(_fold_part, gap.folds), *map(_undetermined_part, gap.undetermined)],
+    )
+
+
+def _fold_part(fold: Fold) -> FoldPart:
+    return FoldPart(
+        what=fold.label,
+        confirmable=fold.confirmable,
+        counted=fold.counted,
+        left_out=None if fold.counted else fold.blind,
+        named_without_it=list(fold.gains),
+        before=fold.before.reduced,
+        after=fold.after.reduced,
+        before_rms_ug=1e6 * rms([fold.before.error_g]),
+        after_rms_ug=1e6 * rms([fold.after.error_g]),
+    )
+
+
+def _undetermined_part(label: str) -> FoldPart:
+    sizes = dict.fromkeys(("before", "after", "before_rms_ug", "after_rms_ug"))
+    told = {"what": label, "confirmable": False, "counted": False, "left_out": UNDETERMINED}
+    return FoldPart.model_validate(sizes | told | {"named_without_it": []})
+
+
+def form_part(form: FreeForm) -> FormPart:
+    """Return the terms that describe what has no name, as results have them."""
+    dark = form.dark
+    return FormPart(
+        terms=[_term_part(term) for term in form.terms],
+        instead_of=list(form.instead_of),
+        gap=FormGapPart(
+            before=form.before if form.counted else None,
+            after=form.after if form.counted else None,
+            floor=FLOOR,
+            closed=form.closed,
+            before_rms=rms([fold.before[0] for fold in form.counted]),
+            after_rms=rms([fold.after[0] for fold in form.counted]),
+            unit=form.unit,
+            held_out=[
+                FormFoldPart(
+                    what=fold.label,
+                    counted=fold.counted,
+                    before=fold.before[1] / fold.count,
+                    after=fold.after[1] / fold.count,
+                )
+                for fold in form.folds
+            ],
+        ),
+        dark_uncertainty=dark.value if dark.there else 0.0,
+        dark=DarkPart(
+            value=dark.value if dark.there else 0.0,
+            u=dark.u if dark.there else None,
+            upper_95=dark.upper,
+            p=dark.p,
+        ),
+        scatter=form.scatter,
+        unit=form.unit,
+    )
+
+
+def _term_part(term: FormTerm) -> TermPart:
+    effect = term.effect
+    return TermPart(
+        name=effect.name,
+        stage=effect.stage.value,
+        adds_to=effect.adds_to or None,
+        expression=effect.expression,
+        constants={
+            p.name: ValuePart(value=p.default / p.si_per_unit, unit=p.unit)
+            for p in effect.parameters
+            if p.is_shape
+        },
+        channels=list(term.applied.channels),
+        sizes=[
+            SizePart(parameter=name, channel=channel or None, value=value, u=u, unit=unit)
+            for name, channel, value, u, unit in term.sizes()
+        ],
+        family=term.family,
+        could_also_be=list(term.could_also_be),
+        rho=term.rho,
+        p=term.p,
+    )
