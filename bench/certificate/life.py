@@ -15,9 +15,13 @@ from bench.base.files import read_json, read_regular, write_whole
 from bench.base.yaml_files import Document, load_document, validated
 from bench.certificate.content import Before, Certificate, Issue
 from bench.certificate.gather import certificate_of, issued_at, missing
-from bench.certificate.laboratory import Laboratory, Order, Person, laboratory_of
+from bench.certificate.laboratory import Laboratory, Order, Person, laboratory_of, load_laboratory, load_order
 from bench.certificate.register import ISSUED, REVOKED, Entry, Register, Standing, opened
+from bench.results.certificate import IssuedRun, RegisteredCertificate, RegisterResult
 from bench.services.errors import Refused, sentence
+from bench.services.requests.documents import CheckRegister, IssueCertificates, Issuing, RevokeCertificate
+from bench.services.requests.shared import runs_folder
+from drivers.clock import utc_now
 
 if TYPE_CHECKING:
     from bench.certificate.dcc.rules import Schemas
@@ -51,30 +55,46 @@ class Desk:
         return authorised(laboratory, self.authorised_by)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a run: its number with the issued files, or `why` there is none.
+def desk_of(request: Issuing, passphrase: Callable[[], bytes]) -> Desk:
+    """Return what certificates are issued with, all of it read and checked; `passphrase` is asked for.
 
-    `before_now` tells that it was issued before, and handed out again; `lacks` what a draft needs to be issued.
+    Raises `Refused` with all that a certificate needs and the request lacks, `FileMistakes` for its files.
     """
+    needed = {
+        "--laboratory FILE": request.laboratory,
+        "--order FILE": request.order,
+        "--authorised-by NAME": request.authorised_by,
+    }
+    laboratory, order, by = request.laboratory, request.order, request.authorised_by
+    if laboratory is None or order is None or by is None:
+        lacking = [option for option, given in needed.items() if given is None]
+        raise Refused(f"a certificate needs {', '.join(lacking)}; a draft (--draft) needs none of them")
+    schemas = signatory = None
+    if request.schema is not None:
+        from bench.certificate.dcc.rules import read_schemas
 
-    run: str
-    number: str = ""
-    files: tuple[Path, ...] = ()
-    why: str = ""
-    before_now: bool = False
-    lacks: tuple[str, ...] = ()
+        schemas = read_schemas(request.schema)
+    if request.key is not None:
+        from bench.certificate.signatory import signatory_of
 
-    def to_json(self) -> dict[str, Any]:
-        """Return it as `--json` writes it."""
-        return {
-            "run": self.run,
-            "number": self.number or None,
-            "files": [str(file) for file in self.files],
-            "why": self.why or None,
-            "issued_before": self.before_now,
-            "lacks": list(self.lacks),
-        }
+        signatory = signatory_of(request.key, request.chain, passphrase, utc_now())
+    files = load_document(laboratory), load_document(order)
+    desk = Desk(runs_folder(request.runs), *files, by, utc_now, signatory, schemas)
+    desk.person(desk.laboratory)
+    return desk
+
+
+def laboratory_in(file: Path | None) -> Laboratory:
+    """Return the laboratory of a file. Raises `Refused` where none is named, `FileMistakes`."""
+    if file is None:
+        raise Refused("say --laboratory FILE")
+    return load_laboratory(file)
+
+
+def _outcome(run: str, number: str | None = None, **told: Any) -> IssuedRun:
+    """Return what became of a run."""
+    usual: dict[str, Any] = {"files": [], "why": None, "issued_before": False, "lacks": []}
+    return IssuedRun(run=run, number=number, **{**usual, **told})
 
 
 @dataclass(frozen=True)
@@ -98,7 +118,7 @@ def authorised(laboratory: Laboratory, name: str) -> Person:
     return person
 
 
-def issue_all(names: Sequence[str], desk: Desk) -> Iterator[Outcome]:
+def issue_all(names: Sequence[str], desk: Desk) -> Iterator[IssuedRun]:
     """Issue a certificate of each run, one after the other; one that cannot be issued stops no other."""
     laboratory, order = desk.laboratory, desk.order
     person, register = desk.person(laboratory), Register(laboratory.register_folder)
@@ -108,43 +128,41 @@ def issue_all(names: Sequence[str], desk: Desk) -> Iterator[Outcome]:
         yield outcomes[0]
 
 
-def drafts(
-    names: Sequence[str], runs: Path, laboratory_file: Path | None, order_file: Path | None, out: Path | None
-) -> Iterator[Outcome]:
+def drafts(request: IssueCertificates) -> Iterator[IssuedRun]:
     """Write a draft of each run, without a number: `certificate-draft.pdf` in its folder, or in `out`."""
-    laboratory = None if laboratory_file is None else laboratory_of(load_document(laboratory_file))
-    order = None if order_file is None else validated(load_document(order_file), Order)
-    for name in names:
+    laboratory = None if request.laboratory is None else load_laboratory(request.laboratory)
+    order = None if request.order is None else load_order(request.order)
+    for name in request.names:
         with _told(name) as outcomes:
-            certificate = certificate_of(name, runs, laboratory, order)
+            certificate = certificate_of(name, runs_folder(request.runs), laboratory, order)
             file = certificate.found.result.source.output("certificate-draft", ".pdf")
-            if out is not None:
-                file = out / f"{certificate.found.record.run}-{file.name}"
-                out.mkdir(parents=True, exist_ok=True)
+            if request.out is not None:
+                file = request.out / f"{certificate.found.record.run}-{file.name}"
+                request.out.mkdir(parents=True, exist_ok=True)
             write_whole(file, _body(certificate, b""))
-            outcomes.append(Outcome(name, files=(file,), lacks=missing(certificate)))
+            outcomes.append(_outcome(name, files=[str(file)], lacks=list(missing(certificate))))
         yield outcomes[0]
 
 
 @contextmanager
-def _told(name: str) -> Iterator[list[Outcome]]:
-    """Make of whatever is wrong with one run what became of it: it stops no other."""
-    outcomes: list[Outcome] = []
+def _told(name: str) -> Iterator[list[IssuedRun]]:
+    """Turn an exception into that run's outcome: it stops no other run."""
+    outcomes: list[IssuedRun] = []
     try:
         yield outcomes
     except Exception as error:
-        outcomes.append(Outcome(name, why=sentence(error)))
+        outcomes.append(_outcome(name, why=sentence(error)))
 
 
 def _issue(
     name: str, desk: Desk, laboratory: Laboratory, order: Order, person: Person, register: Register
-) -> Outcome:
+) -> IssuedRun:
     certificate = certificate_of(name, desk.runs, laboratory, order)
     with opened(register.folder, register):
         before = _holding(register, certificate)
         if before is not None:
-            files = tuple(register.folder / file for file in before.entry.files)
-            return Outcome(name, before.entry.number, files, before_now=True)
+            files = [str(register.folder / file) for file in before.entry.files]
+            return _outcome(name, before.entry.number, files=files, issued_before=True)
         return _write(certificate, desk, laboratory, person, register, None)
 
 
@@ -155,7 +173,7 @@ def _holding(register: Register, certificate: Certificate) -> Standing | None:
     return next((standing for standing in of_record if standing.state == ISSUED), None)
 
 
-def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) -> Outcome:
+def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) -> IssuedRun:
     """Issue a certificate in place of one that holds; the new one names it. Raises `Refused` where none holds."""
     laboratory, order = desk.laboratory, desk.order
     person = desk.person(laboratory)
@@ -170,12 +188,16 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
         return _write(certificate, desk, laboratory, person, register, before)
 
 
-def revoke(number: str, laboratory: Laboratory, by: str, reason: str, now: datetime) -> None:
+def revoke(request: RevokeCertificate) -> None:
     """Write down that a certificate holds no more. Raises `Refused` for one that does not hold now."""
-    person = authorised(laboratory, by)
+    laboratory = laboratory_in(request.laboratory)
+    if request.authorised_by is None:
+        raise Refused("say --authorised-by NAME")
+    person = authorised(laboratory, request.authorised_by)
     with opened(laboratory.register_folder) as register:
-        holds(register, number)
-        register.revoke(Entry(REVOKED, number, issued_at(now), person.name, {"reason": reason}))
+        holds(register, request.number)
+        told = {"reason": request.reason}
+        register.revoke(Entry(REVOKED, request.number, issued_at(utc_now()), person.name, told))
 
 
 def holds(register: Register, number: str) -> Standing:
@@ -204,7 +226,7 @@ def _write(
     person: Person,
     register: Register,
     before: Before | None,
-) -> Outcome:
+) -> IssuedRun:
     """Give a certificate the next number, make its forms, issue it; the register is open."""
     now = desk.now()
     simulated = certificate.simulated
@@ -236,7 +258,7 @@ def _write(
     }
     entry = Entry(ISSUED, number, issue.issued, person.name, data)
     register.issue(entry, contents)
-    return Outcome(found.record.run, number, tuple(register.folder / name for name in contents))
+    return _outcome(found.record.run, number, files=[str(register.folder / name) for name in contents])
 
 
 def refuse_incomplete(certificate: Certificate) -> None:
@@ -307,43 +329,51 @@ def made_again(register: Register, number: str, runs: Path) -> Bodies:
     return bodies_of(replace(certificate, found=replace(certificate.found, record=record)))
 
 
-@dataclass(frozen=True)
-class Checked:
-    """The certificates of a register, a row each, and what is not what it was; `head` stands for its lines."""
+def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
+    """Return what a register holds, of one number or of all, and the files that were handed out again.
 
-    rows: list[dict[str, Any]]
-    problems: tuple[str, ...]
-    head: str
-
-
-def checked(register: Register, number: str | None, runs: Path | None) -> Checked:
-    """Return what is there, of one number or of all; with `runs` each is made from its record again and compared.
-
-    Raises `Refused` for a number that was never issued.
+    With `again` each certificate is made from its record again and compared. Raises `Refused` for a number that was
+    never issued.
     """
+    if request.out is not None and request.number is None:
+        raise Refused("--out: say the number of the certificate that is handed out")
+    folder = laboratory_in(request.laboratory).register_folder
+    with opened(folder) as register:
+        result = register_result(
+            register, request.number, runs_folder(request.runs) if request.again else None
+        )
+        if request.out is None or request.number is None:
+            return result, []
+        return result, handed_out(register, request.number, request.out)
+
+
+def register_result(register: Register, number: str | None, runs: Path | None) -> RegisterResult:
+    """Return what an open register holds, of one number or of all; with `runs` each is made again and compared."""
     numbers = list(register.standings) if number is None else [issued(register, number).entry.number]
     problems = [problem for problem in register.damaged_files() if number is None or f"{number}." in problem]
     rows = []
     for one in numbers:
         standing = register.standings[one]
         entry, unit = standing.entry, standing.entry.data["unit"]
-        row = {
-            "number": one,
-            "issued": entry.time,
-            "authorised_by": entry.by,
-            "unit": f"{unit['type']} {unit['serial']}".strip(),
-            "customer": entry.data["customer"],
-            "run": entry.data["run"],
-            "simulated": entry.data["simulated"],
-            "signed_by": entry.data["signed_by"],
-            "state": standing.state,
-            "by": standing.by,
-            "files": entry.files,
-        }
-        if runs is not None:
-            row["made_again"] = _same(register, one, runs, problems)
-        rows.append(row)
-    return Checked(rows, tuple(problems), register.head)
+        again = {} if runs is None else {"made_again": _same(register, one, runs, problems)}
+        rows.append(
+            RegisteredCertificate.model_validate(
+                {
+                    **{name: entry.data[name] for name in ("customer", "run", "simulated", "signed_by")},
+                    "number": one,
+                    "issued": entry.time,
+                    "authorised_by": entry.by,
+                    "unit": f"{unit['type']} {unit['serial']}".strip(),
+                    "state": standing.state,
+                    "by": standing.by,
+                    "files": entry.files,
+                    **again,
+                }
+            )
+        )
+    return RegisterResult(
+        register_=str(register.folder), head=register.head, certificates=rows, problems=problems
+    )
 
 
 def _same(register: Register, number: str, runs: Path, problems: list[str]) -> bool:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from bench.certificate.dcc.shown import Shown, shown_of
 from bench.certificate.gather import found_by
 from bench.certificate.page import DCC, RELATIONS
 from bench.certificate.pdfa import faults_of
-from bench.certificate.register import ISSUED, LINES, Register
+from bench.certificate.register import LINES, Register
 from bench.certificate.signatory import certificates_in, fingerprint_of, name_of, why_not_trusted
 from bench.certificate.signatures import (
     NoCertificate,
@@ -36,6 +36,7 @@ from bench.certificate.signatures import (
     check_xml,
     unsigned_content,
 )
+from bench.results.certificate import RegisterSays, SignerPart, VerifyResult
 from bench.run.events import MANIFEST, RecordError, sha256
 from bench.run.folder import find_run
 from bench.run.seal import Seal
@@ -86,7 +87,7 @@ class Verdict:
     shown: Shown | None = None
     unsigned: bool = False
     issued: bool = True
-    standing: Standing | None = None
+    standing: RegisterSays | None = None
 
     @property
     def intact(self) -> bool:
@@ -122,32 +123,26 @@ class Verdict:
             of_signer = f"intact, signed by {self.signer}" if trusted else "intact, signer not trusted"
         return of_signer if self.standing is None else of_signer + self.standing.words
 
-    def to_json(self) -> dict[str, Any]:
-        """Return it as JSON."""
-        return {
-            "file": self.file,
-            "verdict": self.headline,
-            "intact": self.intact,
-            "trusted": None if self.why_not_trusted is None else not self.why_not_trusted,
-            "why_not_trusted": self.why_not_trusted,
-            "wrong": self.wrong,
-            "agreed": self.agreed,
-            "signer": {
-                "name": self.signer,
-                "certificate_sha256": self.fingerprint,
-                "signed_at": self.signed_at,
-            },
-            "signed": self._said(unsigned=False),
-            "unsigned": self._said(unsigned=True),
-            "register": None if self.standing is None else vars(self.standing),
-            "not_signed": self.not_signed,
-            "not_proved": self.not_proved,
-        }
-
-    def _said(self, *, unsigned: bool) -> dict[str, Any] | None:
-        """Return what it says, where it is intact and `unsigned` or not."""
-        there = self.shown is not None and self.intact and self.unsigned is unsigned
-        return self.shown.to_json() if there and self.shown is not None else None
+    def result(self) -> VerifyResult:
+        """Return it as `bench certificate verify` has it; what it says only where it is intact."""
+        says = self.shown.part() if self.shown is not None and self.intact else None
+        return VerifyResult(
+            file=self.file,
+            verdict=self.headline,
+            intact=self.intact,
+            trusted=None if self.why_not_trusted is None else not self.why_not_trusted,
+            why_not_trusted=self.why_not_trusted,
+            wrong=self.wrong,
+            agreed=self.agreed,
+            signer=SignerPart(
+                name=self.signer, certificate_sha256=self.fingerprint, signed_at=self.signed_at
+            ),
+            signed=None if self.unsigned else says,
+            unsigned=says if self.unsigned else None,
+            register_=self.standing,
+            not_signed=self.not_signed,
+            not_proved=self.not_proved,
+        )
 
 
 def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Path | None = None) -> Verdict:
@@ -464,42 +459,9 @@ def _as_good_as(found: Found, shown: Shown) -> bool:
     return same and mine == theirs
 
 
-NOT_THERE: Final = "unknown"
-
-
-@dataclass(frozen=True)
-class Standing:
-    """What the register in `folder` says: the state of a number, "unknown" where it has none; `by` what, or why.
-
-    `named` tells that whoever asks named it, and not that it stands beside the file.
-    """
-
-    folder: str
-    named: bool
-    state: str
-    by: str = ""
-
-    @property
-    def known(self) -> bool:
-        """Whether the register has the number."""
-        return self.state != NOT_THERE
-
-    @property
-    def holds(self) -> bool:
-        """Whether the certificate was issued, and neither amended nor revoked."""
-        return self.state == ISSUED
-
-    @property
-    def words(self) -> str:
-        """What is said behind the verdict; nothing of a certificate that holds."""
-        if self.holds:
-            return ""
-        return f", {self.state.upper()} ({self.by})" if self.known else ", UNKNOWN TO THE REGISTER"
-
-
 def held_against_register(
     number: str, form: str, content: bytes, file: Path, folder: Path | None
-) -> tuple[Standing | None, Held]:
+) -> tuple[RegisterSays | None, Held]:
     """Hold a form ("pdf", "xml") of a certificate against the register in `folder`, or where its file stands.
 
     None where no register is at hand: one that stands beside the file by chance, without the number, is none.
@@ -519,9 +481,13 @@ def held_against_register(
         raise Refused(f"{place}: cannot be read ({error.strerror})") from error
     known = register.standings.get(number)
     if known is None:
-        return (None if folder is None else Standing(str(place), True, NOT_THERE)), Held()
+        return (
+            None if folder is None else RegisterSays(folder=str(place), named=True, state="unknown", by="")
+        ), Held()
     name = f"{number}.{form}"
-    standing = Standing(str(place), folder is not None, known.state, known.by)
+    standing = RegisterSays.model_validate(
+        {"folder": str(place), "named": folder is not None, "state": known.state, "by": known.by}
+    )
     if known.entry.files.get(name) != hashlib.sha256(content).hexdigest():
         return standing, Held(
             wrong=f"the register has another SHA-256 of {name}: this is not the issued file"

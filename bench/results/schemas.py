@@ -8,6 +8,9 @@ from typing import Final
 from bench.base.result_model import ResultModel
 
 RESULTS: Final = {
+    "certificate": "certificate.CertificateResult",
+    "certificate-register": "certificate.RegisterResult",
+    "certificate-verify": "certificate.VerifyResult",
     "batch": "batch.BatchResult",
     "budget": "budget.BudgetResult",
     "calibrate": "calibration.CalibrateResult",

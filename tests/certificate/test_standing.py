@@ -109,7 +109,7 @@ def test_what_is_said_of_a_certificate_by_signature_and_register(
     file, register = happened(tmp_path, forms[signed])
     verdict = verify_certificate(file, None, NOWHERE, register)
     assert (verdict.headline, verdict.accepted) == (headline, accepted)
-    told = verdict.to_json()
+    told = verdict.result().to_dict()
     there = [name for name in ("signed", "unsigned") if told[name] is not None]
     assert there == ([] if headline == "CHANGED" else ["signed" if signed else "unsigned"])
     open_to_doubt = any("register" in text for text in verdict.not_proved)

@@ -100,7 +100,7 @@ def test_what_is_shown_is_what_was_signed(made, written):
     assert shown.authorised_by == "A. Example"
     assert [one.value for one in shown.coefficients] == [one.value for one in found.coefficients.values]
     assert [list(row) for row in shown.covariance] == found.coefficients.covariance.tolist()
-    json.dumps(looked_at(written / "c.pdf").to_json())
+    json.dumps(looked_at(written / "c.pdf").result().to_dict())
 
 
 def test_comments_are_told_and_not_shown(made, tmp_path):
@@ -208,7 +208,7 @@ def test_forms_that_do_not_agree_are_refused_whoever_signed_them(made, tmp_path,
     verdict = looked_at(tmp_path / "c.pdf")
     assert (verdict.headline, verdict.accepted) == ("CHANGED", False)
     assert words in " ".join(verdict.wrong)
-    assert verdict.to_json()["signed"] is None
+    assert verdict.result().signed is None
 
 
 def test_another_certificate_beside_it_is_told(made, written):

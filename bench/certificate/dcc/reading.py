@@ -19,6 +19,7 @@ from pydantic import ValidationError
 from bench.base.arrays import Floats
 from bench.base.files import from_text, read_regular
 from bench.base.text import visible
+from bench.base.units import VOLTAGE, parse_quantity
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, Node, read_unit
 from bench.certificate.dcc.rules import parser
 from bench.config.devices.device import ChamberCertificate, HeadCertificate
@@ -100,12 +101,17 @@ def has_coefficients(root: Node) -> bool:
     return any(_order(tuple(text.split())) is not None for text in (*words, *members))
 
 
-def coefficients_in(path: Path, g_m_s2: float | None = None, noise_v: float | None = None) -> Read:
+def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None = None) -> Read:
     """Return the twelve coefficients of a document with their covariance.
 
-    `g_m_s2` is the local gravity at which coefficients of another's document are to be stated, `noise_v` the noise
-    of a reading, V: a certificate of ours tells both. Raises `Refused` where there are none, or more than one.
+    `g_m_s2` is the local gravity at which coefficients of another's document are to be stated, `noise` the noise
+    of a reading ("50 uV"): a certificate of ours tells both. Raises `Refused` where there are
+    none, or more than one.
     """
+    try:
+        noise_v = None if noise is None else parse_quantity(noise, VOLTAGE)
+    except ValueError as error:
+        raise Refused(f"--noise: {error}") from None
     root, notes = document_in(path)
     try:
         lists = list(real_lists(root))

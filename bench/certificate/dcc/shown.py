@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from bench.certificate.signatures import NoCertificate, NotIntact
+from bench.results.certificate import CertificateSays
 
 _DCC: Final = "https://ptb.de/dcc"
 _NAMES: Final = {"dcc": _DCC, "si": "https://ptb.de/si"}
@@ -54,24 +55,22 @@ class Shown:
     covariance: tuple[tuple[float, ...], ...]
     files: dict[str, bytes]
 
-    def to_json(self) -> dict[str, Any]:
-        """Return it as JSON, the files by their names alone."""
-        return {
-            "number": self.number,
-            "laboratory": self.laboratory,
-            "customer": self.customer,
-            "items": list(self.items),
-            "calibrated": list(self.calibrated),
-            "issued": self.issued,
-            "authorised_by": self.authorised_by,
-            "conformity": self.conformity,
-            "simulated": self.simulated,
-            "coefficients": {
-                one.name: {"value": one.value, "U": one.U, "k": one.k, "unit": one.unit}
-                for one in self.coefficients
-            },
-            "files": sorted(self.files),
+    def part(self) -> CertificateSays:
+        """Return it as a result has it, the files by their names alone."""
+        told = {name: getattr(self, name) for name in CertificateSays.model_fields}
+        coefficients = {
+            one.name: {"value": one.value, "U": one.U, "k": one.k, "unit": one.unit}
+            for one in self.coefficients
         }
+        return CertificateSays.model_validate(
+            {
+                **told,
+                "items": list(self.items),
+                "calibrated": list(self.calibrated),
+                "coefficients": coefficients,
+                "files": sorted(self.files),
+            }
+        )
 
 
 def shown_of(content: bytes) -> Shown:

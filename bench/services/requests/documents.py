@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.base.requests import Option
-from bench.services.requests.shared import OnReadings
+from bench.services.requests.shared import OnReadings, RunsField
 
 CatalogueField = Annotated[
     str | None,
@@ -168,4 +168,127 @@ class BatchReport(Batch):
         Option(
             "Mean and standard deviation of Δg over many blocks, g: they enter the risks.", metavar="MEAN SD"
         ),
+    ] = None
+
+
+# --- certificates -------------------------------------------------------------------------------------
+
+LaboratoryField = Annotated[
+    Path | None,
+    Option("Laboratory file; 'bench init' has one.", metavar="FILE", environment="BENCH_LABORATORY"),
+]
+AuthorisedField = Annotated[
+    str | None, Option("Who authorises, as the laboratory file has it.", metavar="NAME")
+]
+NumberField = Annotated[str, Option("Number of a certificate.", argument=True)]
+ReasonField = Annotated[str, Option("Why; it is written down.", metavar="TEXT")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Issuing:
+    """What certificates are issued with."""
+
+    laboratory: LaboratoryField = None
+    order: Annotated[Path | None, Option("Order file; 'bench init' has one.", metavar="FILE")] = None
+    authorised_by: AuthorisedField = None
+    key: Annotated[
+        str | None, Option("Key to sign with: a file (PEM), or pkcs11:… of one in a token.", metavar="KEY")
+    ] = None
+    chain: Annotated[
+        Path | None, Option("Certificates of the key (PEM), where not beside it.", metavar="FILE")
+    ] = None
+    schema: Annotated[
+        Path | None,
+        Option("The institute's schemas (DCC 3.3.0, D-SI 2.2.1): checked against.", metavar="DIR"),
+    ] = None
+    runs: RunsField = None
+
+
+@dataclass(frozen=True)
+class IssueCertificates(Issuing):
+    """Issue the certificate of a run, once."""
+
+    names: Annotated[
+        list[str], Option("Runs, by name or path.", metavar="RUN…", argument=True, completes="runs")
+    ]
+    _: KW_ONLY
+    draft: Annotated[bool, Option("A draft with a water mark; needs neither laboratory nor order.")] = False
+    out: Annotated[Path | None, Option("Where drafts go (default: the run's folder).", metavar="DIR")] = None
+
+
+@dataclass(frozen=True)
+class AmendCertificate(Issuing):
+    """Issue a certificate in place of one that holds."""
+
+    number: NumberField
+    run: Annotated[str, Option("Run, by name or path.", argument=True, completes="runs")]
+    _: KW_ONLY
+    reason: ReasonField
+    replace: Annotated[bool, Option("It replaces the other as a whole: another run, other results.")] = False
+
+
+@dataclass(frozen=True)
+class RevokeCertificate:
+    """Write down that a certificate holds no more."""
+
+    number: NumberField
+    _: KW_ONLY
+    reason: ReasonField
+    laboratory: LaboratoryField = None
+    authorised_by: AuthorisedField = None
+
+
+@dataclass(frozen=True)
+class CheckRegister:
+    """What was issued."""
+
+    number: Annotated[str | None, Option("One certificate; all if left out.", argument=True)] = None
+    _: KW_ONLY
+    laboratory: LaboratoryField = None
+    out: Annotated[
+        Path | None, Option("Hand the files of NUMBER out again, into a folder.", metavar="DIR")
+    ] = None
+    again: Annotated[
+        bool, Option("Make the unsigned certificates from their records again, and compare.")
+    ] = False
+    runs: RunsField = None
+
+
+@dataclass(frozen=True)
+class VerifyCertificate:
+    """Whether a certificate is intact, who signed it and whether it still holds."""
+
+    file: Annotated[
+        Path, Option("Certificate, PDF or XML; the other form is found beside it.", argument=True)
+    ]
+    _: KW_ONLY
+    trust: Annotated[
+        Path | None,
+        Option("Certificates (PEM) of signers or authorities that are believed.", metavar="FILE"),
+    ] = None
+    laboratory: Annotated[
+        Path | None,
+        Option("Laboratory file: its register is asked (default: the one beside FILE).", metavar="FILE"),
+    ] = None
+    runs: RunsField = None
+
+
+@dataclass(frozen=True)
+class ReadCertificate:
+    """Take coefficients with covariance out of a certificate."""
+
+    file: Annotated[
+        Path,
+        Option("Digital calibration certificate, anybody's: XML, or the PDF that has it.", argument=True),
+    ]
+    _: KW_ONLY
+    out: Annotated[
+        Path | None,
+        Option("Where the coefficients go, for verify --coefficients and compare.", metavar="FILE"),
+    ] = None
+    g: Annotated[
+        float | None, Option("Local gravity for which K of another's is stated.", metavar="M/S2")
+    ] = None
+    noise: Annotated[
+        str | None, Option("Noise of a reading, '50 uV', where the maker is another.", metavar="VOLTAGE")
     ] = None

@@ -1,0 +1,218 @@
+"""The results of `bench certificate`: what was issued, what a register holds, a verdict; as JSON and as text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import Field
+from rich.console import Console
+
+from bench.base.numbers import fixed, places, rounded, uncertainty
+from bench.base.result_model import ResultModel
+from bench.base.tables import table
+from bench.base.text import visible
+
+
+class IssuedRun(ResultModel):
+    """What became of a run: its certificate, its draft, or why there is none."""
+
+    run: str
+    number: str | None = Field(description="null for a draft, and where none was issued")
+    files: list[str] = Field(description="the files that were written, or issued before")
+    why: str | None = Field(description="why there is none")
+    issued_before: bool = Field(description="whether the record has a certificate already, which is this one")
+    lacks: list[str] = Field(description="what a draft needs to be issued")
+
+    def print_on(self, out: Console) -> None:
+        """Print the number and the files."""
+        said = "issued before as" if self.issued_before else "issued as" if self.number else "draft"
+        out.print(f"{self.run}: {said} {self.number or ''}".rstrip())
+        for file in self.files:
+            out.print(f"  {file}")
+
+
+class CertificateResult(ResultModel):
+    """What became of each run."""
+
+    certificates: list[IssuedRun] = Field(description="one for each run, in their order")
+
+
+State = Literal["issued", "amended", "replaced", "revoked"]
+
+
+class RegisteredCertificate(ResultModel):
+    """A certificate of the register."""
+
+    number: str
+    issued: str = Field(description="civil time")
+    authorised_by: str
+    unit: str = Field(description="type and serial number")
+    customer: str
+    run: str
+    simulated: bool
+    signed_by: str | None = Field(description="whom the key's certificate names")
+    state: State
+    by: str = Field(description="number of the certificate in its place, or why it was revoked")
+    files: dict[str, str] = Field(description="SHA-256 by name")
+    made_again: bool = Field(
+        default=False,
+        description="whether its unsigned forms, made again, are byte for byte the same (with --again)",
+    )
+
+
+class RegisterResult(ResultModel):
+    """What was issued, and what of it is missing or changed."""
+
+    register_: str = Field(alias="register", description="its folder")
+    head: str = Field(description="SHA-256 of the last line, which proves all lines before it")
+    certificates: list[RegisteredCertificate]
+    problems: list[str] = Field(description="files and certificates that are not what was issued")
+
+    def print_on(self, out: Console) -> None:
+        """Print a line for each certificate."""
+        for one in self.certificates:
+            state = one.state + (f" ({one.by})" if one.by else "") + ("" if one.signed_by else ", not signed")
+            out.print(f"{one.number}  {one.issued[:10]}  {one.unit}  {one.run}  {state}")
+
+    def print_head(self, out: Console) -> None:
+        """Print that the chain of hashes holds, and its last hash."""
+        out.print(f"{len(self.certificates)} certificates, chain of hashes whole, head {self.head}")
+
+
+class SignerPart(ResultModel):
+    """Who signed."""
+
+    name: str = Field(description="as the signer's certificate says")
+    certificate_sha256: str
+    signed_at: str = Field(description="what the signer's clock said (ISO 8601)")
+
+
+class CertifiedCoefficient(ResultModel):
+    """A coefficient on a certificate."""
+
+    value: float
+    U: float
+    k: float
+    unit: str = Field(description="as D-SI spells it")
+
+
+class CertificateSays(ResultModel):
+    """What a certificate says."""
+
+    number: str
+    laboratory: str
+    customer: str
+    items: list[str]
+    calibrated: list[str] = Field(description="first and last day")
+    issued: str
+    authorised_by: str
+    conformity: str = Field(description="the word of the DCC, empty without a statement")
+    simulated: bool
+    coefficients: dict[str, CertifiedCoefficient]
+    files: list[str] = Field(description="files in the XML")
+
+    def print_on(self, out: Console) -> None:
+        """Print who certifies what for whom, and the coefficients."""
+        if self.simulated:
+            out.print("SIMULATED: it certifies nothing of any real unit")
+        for name, text in {
+            "certificate": self.number,
+            "laboratory": self.laboratory,
+            "customer": self.customer,
+            "unit": "; ".join(self.items),
+            "calibrated": " to ".join(dict.fromkeys(self.calibrated)),
+            "issued": self.issued,
+            "authorised by": self.authorised_by,
+            "conformity": self.conformity or "no statement",
+        }.items():
+            out.print(f"{name}: {visible(text)}")
+        shown = table("coefficient", ">value", ">U", ">k", "")
+        for name, one in self.coefficients.items():
+            value, U = rounded(one.value, one.U), uncertainty(one.U)
+            shown.add_row(visible(name), value, U, f"{one.k:.3g}", visible(one.unit))
+        out.print(shown)
+
+
+class RegisterSays(ResultModel):
+    """What the laboratory's register says of a number."""
+
+    folder: str
+    named: bool = Field(description="whether --laboratory named it; else it is beside the file")
+    state: Literal["issued", "amended", "replaced", "revoked", "unknown"]
+    by: str = Field(description="number of the certificate in its place, or why it was revoked")
+
+    @property
+    def known(self) -> bool:
+        """Whether the register has the number."""
+        return self.state != "unknown"
+
+    @property
+    def holds(self) -> bool:
+        """Whether the certificate was issued, and neither amended nor revoked."""
+        return self.state == "issued"
+
+    @property
+    def words(self) -> str:
+        """What is said behind the verdict; nothing of a certificate that holds."""
+        if self.holds:
+            return ""
+        return f", {self.state.upper()} ({self.by})" if self.known else ", UNKNOWN TO THE REGISTER"
+
+
+class VerifyResult(ResultModel):
+    """What was found of a certificate."""
+
+    file: str
+    verdict: str = Field(
+        description="in a line: `intact, signer unknown` without a trust file, `not signed`, `CHANGED`, `NO "
+        "CERTIFICATE`; what the register says follows"
+    )
+    intact: bool
+    trusted: bool | None = Field(
+        description="whether the trust file vouches for the signer; null without one"
+    )
+    why_not_trusted: str | None = Field(description="empty where it is trusted")
+    wrong: list[str] = Field(description="why it is not intact")
+    agreed: list[str] = Field(description="what was compared, and is the same")
+    signer: SignerPart
+    signed: CertificateSays | None = Field(
+        description="what was signed; null where it is not intact or nobody signed it"
+    )
+    unsigned: CertificateSays | None = Field(
+        description="what a certificate says that nobody signed; null where it is not intact or is signed"
+    )
+    register_: RegisterSays | None = Field(alias="register", description="null where no register is at hand")
+    not_signed: list[str]
+    not_proved: list[str]
+
+    def print_on(self, out: Console) -> None:
+        """Print the verdict; of a certificate that is not intact nothing but the reasons."""
+        out.print(f"{self.file}: {self.verdict}")
+        for why in self.wrong:
+            out.print(f"  {visible(why)}")
+        if not self.intact:
+            return
+        if self.unsigned is None:
+            signer = self.signer
+            out.print(f"signer: {visible(signer.name)}, certificate SHA-256 {signer.certificate_sha256}")
+            out.print(f"signed at: {signer.signed_at}")
+        if self.why_not_trusted:
+            out.print(f"not trusted: {visible(self.why_not_trusted)}")
+        for said in filter(None, (self.signed, self.unsigned)):
+            said.print_on(out)
+        for heading, lines in (
+            ("agrees", self.agreed), ("not signed", self.not_signed), ("not proved", self.not_proved),
+        ):  # fmt: skip
+            for line in lines:
+                out.print(f"{heading}: {visible(line)}")
+
+
+def print_coefficients(result: Mapping[str, Any], out: Console) -> None:
+    """Print the coefficients of a result that has the form of `bench calibrate --json`."""
+    shown = table("coefficient", ">value", ">u", "")
+    for name, one in result["coefficients"].items():
+        digits = places(one["u"])
+        unit = result["unit"] + ("" if name.startswith("U0") else "/g")
+        shown.add_row(name, fixed(one["value"], digits), fixed(one["u"], digits), unit)
+    out.print(shown)
