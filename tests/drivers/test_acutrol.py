@@ -12,13 +12,11 @@ import pytest
 from drivers.facts.acutrol import READ_TERMINATION, WRITE_TERMINATION
 from drivers.instruments.acutrol import AcutrolHead
 from drivers.interfaces import (
-    BadReading,
     DividingHead,
     HeadPosition,
     Identity,
     InstrumentLost,
     InstrumentRefused,
-    LimitExceeded,
 )
 from drivers.motion import Travel
 from sim.acutrol import AcutrolTable
@@ -109,22 +107,6 @@ def test_a_closed_interlock_that_is_refused_is_said() -> None:
     script = ScriptedSession([*OPEN[:4], (":interlock:close 1", "ACUTROL>ERR")])
     with pytest.raises(InstrumentRefused, match=":interlock:close 1 with 'ERR', not OK; check the interlock"):
         head(script).open()
-
-
-def test_another_instrument_is_no_controller() -> None:
-    script = ScriptedSession([(":read:position 1", "?")] * 3)
-    with pytest.raises(BadReading):
-        head(script).open()
-
-
-@pytest.mark.parametrize(("target_deg", "direction"), [(371.0, 1), (-9.8, 1), (369.8, -1)])
-def test_limits_are_checked_before_anything_is_sent(target_deg: float, direction: int) -> None:
-    script = ScriptedSession(OPEN)
-    h = head(script)
-    h.open()
-    with pytest.raises(LimitExceeded):
-        h.move(target_deg * DEG, direction, "1/turn")  # type: ignore[arg-type]
-    assert script.left == []
 
 
 def test_ctrl_c_stops_the_table_and_the_next_move_enters_the_mode_again() -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
-
 import pytest
 
 from drivers.instruments.agilent_34401a import Agilent34401A
@@ -18,8 +15,7 @@ from drivers.interfaces import (
     VoltmeterSettings,
 )
 from drivers.wire.visa import SerialSettings
-
-Pairs = Sequence[tuple[str, str | None]]
+from tests.support.scripted_session import Clock, Pairs, ScriptedSession, swapped
 
 NAME = "voltmeter.y"
 TEN_VOLTS = VoltmeterSettings(range_v=10.0, nplc=10.0, samples=2)
@@ -47,76 +43,17 @@ CONFIGURE: Pairs = [
 READ: Pairs = [("INIT", None), ("FETC?", "+1.52345670E+00,-1.00000000E-04"), ("*ESR?", "+0")]
 
 
-class Clock:
-    def __init__(self) -> None:
-        self.time_s = 0.0
-
-    def now_s(self) -> float:
-        return self.time_s
-
-    def sleep(self, duration_s: float) -> None:
-        self.time_s += duration_s
-
-
-class Script:
-    """Stands for a `MessageSession`: expects the pairs in order; a reply of None has none."""
-
-    resource = "TCPIP::192.0.2.5::5025::SOCKET"
-    timeout_s = 3.0
-    serial = SerialSettings()
-
-    def __init__(self, *pairs: Pairs) -> None:
-        self.name = NAME
-        self.left = [pair for part in pairs for pair in part]
-        self.connection: int | None = None
-        self.timeouts_s: dict[str, float | None] = {}
-        self.made = 0
-
-    def _next(self, command: str) -> str | None:
-        assert self.left, f"{command} was sent when nothing was expected"
-        wanted, reply = self.left.pop(0)
-        assert command == wanted
-        return reply
-
-    def open(self) -> None:
-        if self.connection is None:
-            self.made += 1
-            self.connection = self.made
-
-    def write(self, command: str) -> None:
-        assert self._next(command) is None
-
-    def query(
-        self, command: str, timeout_s: float | None = None, pattern: str | None = None, expected: str = ""
-    ) -> str:
-        self.timeouts_s[command] = timeout_s
-        reply = self._next(command)
-        assert reply is not None
-        if pattern is not None and re.fullmatch(pattern, reply) is None:
-            self.connection = None
-            raise BadReading(self.name, f"{reply} is not {expected}", "again")
-        return reply
-
-    def close(self) -> None:
-        self.connection = None
-
-
-def meter(script: Script, clock: Clock | None = None, interface: str = "lan") -> Agilent34401A:
+def meter(script: ScriptedSession, clock: Clock | None = None, interface: str = "lan") -> Agilent34401A:
     return Agilent34401A(NAME, "y", script, clock or Clock(), interface=interface)  # type: ignore[arg-type]
 
 
-def swapped(pairs: Pairs, command: str, reply: str) -> Pairs:
-    assert command in [sent for sent, _ in pairs]
-    return [(sent, reply if sent == command else answered) for sent, answered in pairs]
-
-
 def test_is_a_voltmeter_of_one_signal() -> None:
-    assert isinstance(meter(Script()), Voltmeter)
-    assert meter(Script()).channels == ("y",)
+    assert isinstance(meter(ScriptedSession()), Voltmeter)
+    assert meter(ScriptedSession()).channels == ("y",)
 
 
 def test_a_whole_reading() -> None:
-    script = Script(IDENTIFY, CONFIGURE, READ, READ)
+    script = ScriptedSession(IDENTIFY, CONFIGURE, READ, READ)
     m = meter(script)
     assert m.open() == Identity("HEWLETT-PACKARD", "34401A", "", "11-5-2")
     m.configure(TEN_VOLTS)
@@ -144,7 +81,7 @@ def test_a_whole_reading() -> None:
     ],
 )
 def test_identity_by_pattern(reply: str, identity: Identity) -> None:
-    assert meter(Script(swapped(IDENTIFY, "*IDN?", reply))).open() == identity
+    assert meter(ScriptedSession(swapped(IDENTIFY, "*IDN?", reply))).open() == identity
 
 
 @pytest.mark.parametrize(
@@ -153,13 +90,13 @@ def test_identity_by_pattern(reply: str, identity: Identity) -> None:
 )
 def test_another_instrument_is_refused(reply: str) -> None:
     with pytest.raises(InstrumentRefused, match="not a 34401A; check the address") as caught:
-        meter(Script([("*IDN?", reply)])).open()
+        meter(ScriptedSession([("*IDN?", reply)])).open()
     assert reply in str(caught.value)
 
 
 def test_half_an_identity_is_no_identity() -> None:
     with pytest.raises(BadReading):
-        meter(Script([("*IDN?", "HEWLETT-PACKARD,344")])).open()
+        meter(ScriptedSession([("*IDN?", "HEWLETT-PACKARD,344")])).open()
 
 
 # --- settings ---------------------------------------------------------------------------------------
@@ -176,7 +113,7 @@ def test_half_an_identity_is_no_identity() -> None:
 )
 def test_limits_are_checked_before_anything_is_sent(settings: VoltmeterSettings, named: str) -> None:
     with pytest.raises(LimitExceeded) as caught:
-        meter(Script()).configure(settings)
+        meter(ScriptedSession()).configure(settings)
     assert named in str(caught.value)
 
 
@@ -197,7 +134,7 @@ def test_small_values_are_sent_as_the_manual_writes_them() -> None:
         )
         for sent, answered in CONFIGURE
     ]
-    script = Script(pairs)
+    script = ScriptedSession(pairs)
     meter(script).configure(settings)
     assert script.left == []
 
@@ -205,7 +142,7 @@ def test_small_values_are_sent_as_the_manual_writes_them() -> None:
 def test_all_settings_that_were_not_taken_are_named_at_once() -> None:
     pairs = swapped(swapped(CONFIGURE, "VOLT:DC:NPLC?", "+1.000000E+02"), "INP:IMP:AUTO?", "0")
     pairs = [*pairs[:-1], ("SYST:ERR?", '-221,"Settings conflict"'), ("SYST:ERR?", '+0,"No error"')]
-    script = Script(pairs)
+    script = ScriptedSession(pairs)
     with pytest.raises(InstrumentRefused) as caught:
         meter(script).configure(TEN_VOLTS)
     text = str(caught.value)
@@ -216,7 +153,7 @@ def test_all_settings_that_were_not_taken_are_named_at_once() -> None:
 
 
 def test_an_error_queue_that_never_empties_is_given_up() -> None:
-    script = Script([*CONFIGURE[:-1], *[("SYST:ERR?", '-350,"Too many errors"')] * 21])
+    script = ScriptedSession([*CONFIGURE[:-1], *[("SYST:ERR?", '-350,"Too many errors"')] * 21])
     with pytest.raises(InstrumentRefused, match="-350"):
         meter(script).configure(TEN_VOLTS)
 
@@ -224,8 +161,8 @@ def test_an_error_queue_that_never_empties_is_given_up() -> None:
 # --- readings ---------------------------------------------------------------------------------------
 
 
-def ready(*pairs: Pairs, interface: str = "lan") -> tuple[Agilent34401A, Script]:
-    script = Script(IDENTIFY, CONFIGURE, *pairs)
+def ready(*pairs: Pairs, interface: str = "lan") -> tuple[Agilent34401A, ScriptedSession]:
+    script = ScriptedSession(IDENTIFY, CONFIGURE, *pairs)
     m = meter(script)
     m.open()
     m.configure(TEN_VOLTS)
@@ -280,7 +217,7 @@ def test_timeout_grows_with_samples_and_integration() -> None:
     m.fetch()
     allowed_s = script.timeouts_s["FETC?"]
     assert allowed_s is not None
-    assert allowed_s == pytest.approx(Script.timeout_s + 1.5 * 0.82)
+    assert allowed_s == pytest.approx(ScriptedSession.timeout_s + 1.5 * 0.82)
     assert m.reading_time_s(VoltmeterSettings(10.0, 100.0, 512)) > 512 * 4.0
 
 
@@ -305,7 +242,7 @@ def test_nothing_is_fetched_that_was_not_started() -> None:
 
 def test_starting_without_settings_is_refused() -> None:
     with pytest.raises(InstrumentRefused, match="configure it"):
-        meter(Script()).start()
+        meter(ScriptedSession()).start()
 
 
 # --- lost and found ---------------------------------------------------------------------------------
@@ -358,7 +295,7 @@ LOCAL: Pairs = [("SYST:LOC", None)]
 
 
 def test_rs232_is_made_remote_first_and_local_last() -> None:
-    script = Script(REMOTE, IDENTIFY, REMOTE, CONFIGURE, READ, LOCAL)
+    script = ScriptedSession(REMOTE, IDENTIFY, REMOTE, CONFIGURE, READ, LOCAL)
     m = meter(script, interface="rs232")
     m.open()
     m.configure(TEN_VOLTS)
@@ -372,7 +309,7 @@ def test_rs232_is_made_remote_first_and_local_last() -> None:
 
 def test_rs232_meter_left_alone_is_made_remote_again() -> None:
     clock = Clock()
-    script = Script(REMOTE, IDENTIFY, REMOTE, CONFIGURE, READ, REMOTE, READ)
+    script = ScriptedSession(REMOTE, IDENTIFY, REMOTE, CONFIGURE, READ, REMOTE, READ)
     m = meter(script, clock, interface="rs232")
     m.open()
     m.configure(TEN_VOLTS)
@@ -385,7 +322,7 @@ def test_rs232_meter_left_alone_is_made_remote_again() -> None:
 
 
 def test_close_does_not_raise_when_the_meter_is_gone() -> None:
-    class Gone(Script):
+    class Gone(ScriptedSession):
         def write(self, command: str) -> None:
             raise InstrumentLost(self.name, "gone", "look for it")
 

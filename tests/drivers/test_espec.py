@@ -56,15 +56,6 @@ def test_set_and_read() -> None:
     assert script.left == []
 
 
-@pytest.mark.parametrize("target_c", [-41.0, 86.0])
-def test_the_bench_files_limits_hold_before_anything_is_sent(target_c: float) -> None:
-    script = ScriptedSession(OPEN)
-    c = chamber(script)
-    c.open()
-    with pytest.raises(LimitExceeded):
-        c.set_temperature(target_c, "1/temperature")
-
-
 def test_the_controllers_limits_hold_before_anything_is_set() -> None:
     c = chamber(ScriptedSession(OPEN, [*SET[:2], ("TEMP?", "26.4,23.0,80.0,-30.0")]))
     c.open()

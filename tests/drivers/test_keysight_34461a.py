@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
-
 import pytest
 
 from drivers.instruments.keysight_34461a import Keysight34461A
 from drivers.interfaces import (
-    BadReading,
     Identity,
     InstrumentRefused,
     LimitExceeded,
     Voltmeter,
     VoltmeterSettings,
 )
-from drivers.wire.visa import SerialSettings
-from sim.world.clock import VirtualClock
-
-Pairs = Sequence[tuple[str, str | None]]
+from tests.support.scripted_session import Pairs, ScriptedSession
 
 IDENTITY = "Keysight Technologies,34461A,MY53200001,A.02.17-02.40-02.17-00.52-04-01"
 
@@ -49,41 +42,12 @@ def exchange(autozero: str, impedance: str, samples: int = 2) -> Pairs:
     ]
 
 
-class Script:
-    """Stands for a `MessageSession`: expects the pairs in order; a reply of None has none."""
-
-    name = "voltmeter.x"
-    resource = "TCPIP::192.0.2.5::5025::SOCKET"
-    timeout_s = 3.0
-    serial = SerialSettings()
-    connection: int | None = None
-
-    def __init__(self, *pairs: Pairs) -> None:
-        self.left = [pair for part in pairs for pair in part]
-
-    def open(self) -> None:
-        self.connection = 1
-
-    def write(self, command: str) -> None:
-        assert (command, None) == self.left.pop(0)
-
-    def query(
-        self, command: str, timeout_s: float | None = None, pattern: str | None = None, expected: str = ""
-    ) -> str:
-        wanted, reply = self.left.pop(0)
-        assert (command, reply is not None) == (wanted, True)
-        assert reply is not None
-        if pattern is not None and re.fullmatch(pattern, reply) is None:
-            raise BadReading(self.name, f"{reply} is not {expected}", "again")
-        return reply
-
-
-def meter(script: Script) -> Keysight34461A:
-    return Keysight34461A("voltmeter.x", "x", script, VirtualClock())  # type: ignore[arg-type]
+def meter(script: ScriptedSession) -> Keysight34461A:
+    return Keysight34461A("voltmeter.x", "x", script, script.clock)  # type: ignore[arg-type]
 
 
 def whole_reading(identity: str, *pairs: tuple[str, str | None], samples: int = 2) -> Identity:
-    script = Script([("*IDN?", identity), ("*CLS", None)], pairs)
+    script = ScriptedSession([("*IDN?", identity), ("*CLS", None)], pairs)
     m = meter(script)
     assert isinstance(m, Voltmeter)
     known = m.open()
@@ -129,7 +93,7 @@ def test_more_samples_than_a_34401a_holds() -> None:
     ],
 )
 def test_the_memory_is_that_of_the_model_that_answered(identity: str, most: int) -> None:
-    m = meter(Script([("*IDN?", identity), ("*CLS", None)]))
+    m = meter(ScriptedSession([("*IDN?", identity), ("*CLS", None)]))
     m.open()
     with pytest.raises(LimitExceeded, match=f"memory holds 1 to {most}"):
         m.configure(VoltmeterSettings(10.0, 10.0, most + 1))
@@ -140,4 +104,4 @@ def test_the_memory_is_that_of_the_model_that_answered(identity: str, most: int)
 )
 def test_another_instrument_is_refused(identity: str) -> None:
     with pytest.raises(InstrumentRefused, match="not a 34460A, 34461A, 34465A or 34470A"):
-        meter(Script([("*IDN?", identity)])).open()
+        meter(ScriptedSession([("*IDN?", identity)])).open()

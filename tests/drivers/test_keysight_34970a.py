@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
 import pytest
 
@@ -17,10 +16,7 @@ from drivers.interfaces import (
     Voltmeter,
     VoltmeterSettings,
 )
-from drivers.wire.visa import SerialSettings
-from sim.world.clock import VirtualClock
-
-Pairs = Sequence[tuple[str, str | None]]
+from tests.support.scripted_session import Pairs, ScriptedSession, swapped
 
 TEN_VOLTS = VoltmeterSettings(range_v=10.0, nplc=10.0, samples=2)
 LIST = "(@101,102,103)"
@@ -63,63 +59,15 @@ SIX = "+1.00000000E+00,+2.00000000E+00,+3.00000000E+00,+1.10000000E+00,+2.100000
 READ: Pairs = [("INIT", None), ("FETC?", SIX), ("*ESR?", "+0")]
 
 
-class Script:
-    """Stands for a `MessageSession`: expects the pairs in order; a reply of None has none."""
-
-    name = "voltmeter"
-    resource = "GPIB0::9::INSTR"
-    timeout_s = 3.0
-    serial = SerialSettings()
-
-    def __init__(self, *pairs: Pairs) -> None:
-        self.left = [pair for part in pairs for pair in part]
-        self.connection: int | None = None
-        self.timeouts_s: dict[str, float | None] = {}
-        self.made = 0
-
-    def _next(self, command: str) -> str | None:
-        assert self.left, f"{command} was sent when nothing was expected"
-        wanted, reply = self.left.pop(0)
-        assert command == wanted
-        return reply
-
-    def open(self) -> None:
-        if self.connection is None:
-            self.made += 1
-            self.connection = self.made
-
-    def write(self, command: str) -> None:
-        assert self._next(command) is None
-
-    def query(
-        self, command: str, timeout_s: float | None = None, pattern: str | None = None, expected: str = ""
-    ) -> str:
-        self.timeouts_s[command] = timeout_s
-        reply = self._next(command)
-        assert reply is not None
-        if pattern is not None and re.fullmatch(pattern, reply) is None:
-            self.connection = None
-            raise BadReading(self.name, f"{reply} is not {expected}", "again")
-        return reply
-
-    def close(self) -> None:
-        self.connection = None
-
-
 XYZ = {"x": 101, "y": 102, "z": 103}
 
 
-def meter(script: Script, channels: object = XYZ, **options: object) -> Keysight34970A:
-    return Keysight34970A("voltmeter", channels, script, VirtualClock(), **options)  # type: ignore[arg-type]
+def meter(script: ScriptedSession, channels: object = XYZ, **options: object) -> Keysight34970A:
+    return Keysight34970A("voltmeter", channels, script, script.clock, **options)  # type: ignore[arg-type]
 
 
-def swapped(pairs: Pairs, command: str, reply: str) -> Pairs:
-    assert command in [sent for sent, _ in pairs]
-    return [(sent, reply if sent == command else answered) for sent, answered in pairs]
-
-
-def ready(*pairs: Pairs) -> tuple[Keysight34970A, Script]:
-    script = Script(IDENTIFY, CONFIGURE, *pairs)
+def ready(*pairs: Pairs) -> tuple[Keysight34970A, ScriptedSession]:
+    script = ScriptedSession(IDENTIFY, CONFIGURE, *pairs)
     m = meter(script)
     m.open()
     m.configure(TEN_VOLTS)
@@ -137,10 +85,10 @@ def test_a_whole_reading() -> None:
 
 
 def test_signals_stand_in_the_order_of_the_channel_numbers_in_which_the_meter_scans() -> None:
-    m = meter(Script(), channels=[("x", 103), ("y", 101), ("z", 102)])
+    m = meter(ScriptedSession(), channels=[("x", 103), ("y", 101), ("z", 102)])
     assert m.channels == ("y", "z", "x")
     readings = "+1.00000000E+00,+2.00000000E+00,+3.00000000E+00"
-    script = Script(
+    script = ScriptedSession(
         IDENTIFY,
         swapped(
             [(s.replace("TRIG:COUN 2", "TRIG:COUN 1"), a) for s, a in CONFIGURE],
@@ -171,29 +119,29 @@ def test_signals_stand_in_the_order_of_the_channel_numbers_in_which_the_meter_sc
     ],
 )
 def test_identity_by_pattern(reply: str, identity: Identity) -> None:
-    assert meter(Script(swapped(IDENTIFY, "*IDN?", reply))).open() == identity
+    assert meter(ScriptedSession(swapped(IDENTIFY, "*IDN?", reply))).open() == identity
 
 
 @pytest.mark.parametrize("reply", ["HEWLETT-PACKARD,34401A,0,11-5-2", "RIGOL TECHNOLOGIES,34970A,0,1"])
 def test_another_instrument_is_refused(reply: str) -> None:
     with pytest.raises(InstrumentRefused, match="not a 34970A or 34972A; check the address"):
-        meter(Script([("*IDN?", reply)])).open()
+        meter(ScriptedSession([("*IDN?", reply)])).open()
 
 
 @pytest.mark.parametrize(
     ("reply", "named"),
     [
-        ("HEWLETT-PACKARD,0,0,0", "slot 100 of GPIB0::9::INSTR is empty, not a 34901A"),
+        ("HEWLETT-PACKARD,0,0,0", "slot 100 of TCPIP::192.0.2.5::9888::SOCKET is empty, not a 34901A"),
         ("HEWLETT-PACKARD,34908A,0,2.3", "holds 'HEWLETT-PACKARD,34908A,0,2.3', not a 34901A"),
     ],
 )
 def test_the_card_in_the_slot_is_proved(reply: str, named: str) -> None:
     with pytest.raises(InstrumentRefused, match=re.escape(named)):
-        meter(Script(swapped(IDENTIFY, "SYST:CTYP? 100", reply))).open()
+        meter(ScriptedSession(swapped(IDENTIFY, "SYST:CTYP? 100", reply))).open()
 
 
 def test_every_slot_that_is_used_is_proved() -> None:
-    script = Script(IDENTIFY, [("SYST:CTYP? 300", "HEWLETT-PACKARD,34901A,0,2.3")])
+    script = ScriptedSession(IDENTIFY, [("SYST:CTYP? 300", "HEWLETT-PACKARD,34901A,0,2.3")])
     meter(script, channels={"x": 101, "y": 120, "z": 301}).open()
     assert script.left == []
 
@@ -211,13 +159,13 @@ def test_every_slot_that_is_used_is_proved() -> None:
 )
 def test_channels_are_validated(channels: object, named: str) -> None:
     with pytest.raises(LimitExceeded, match=re.escape(named)):
-        meter(Script(), channels=channels)
+        meter(ScriptedSession(), channels=channels)
 
 
 @pytest.mark.parametrize(("delay_s", "named"), [(60.5, "0 to 60 s"), (-1.0, "0 to 60 s"), (0.0005, "1 ms")])
 def test_channel_delay_is_validated(delay_s: float, named: str) -> None:
     with pytest.raises(LimitExceeded, match=named):
-        meter(Script(), channel_delay_s=delay_s)
+        meter(ScriptedSession(), channel_delay_s=delay_s)
 
 
 @pytest.mark.parametrize(
@@ -230,7 +178,7 @@ def test_channel_delay_is_validated(delay_s: float, named: str) -> None:
 )
 def test_limits_are_checked_before_anything_is_sent(settings: VoltmeterSettings, named: str) -> None:
     with pytest.raises(LimitExceeded, match=re.escape(named)):
-        meter(Script()).configure(settings)
+        meter(ScriptedSession()).configure(settings)
 
 
 @pytest.mark.parametrize(
@@ -244,7 +192,7 @@ def test_limits_are_checked_before_anything_is_sent(settings: VoltmeterSettings,
     ],
 )
 def test_a_setting_that_was_not_taken_is_named(command: str, reply: str, named: str) -> None:
-    script = Script(swapped(CONFIGURE, command, reply))
+    script = ScriptedSession(swapped(CONFIGURE, command, reply))
     with pytest.raises(InstrumentRefused, match=re.escape(named)):
         meter(script).configure(TEN_VOLTS)
     assert script.left == []
@@ -293,7 +241,7 @@ def test_a_meter_that_was_switched_off_and_on_is_set_up_again() -> None:
 
 
 def test_over_rs232_it_is_made_remote_first_and_local_last() -> None:
-    script = Script([("SYST:REM", None)], IDENTIFY, [("SYST:LOC", None)])
+    script = ScriptedSession([("SYST:REM", None)], IDENTIFY, [("SYST:LOC", None)])
     m = meter(script, interface="rs232")
     m.open()
     m.close()

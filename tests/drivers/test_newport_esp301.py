@@ -16,7 +16,7 @@ from sim.newport_esp301 import Esp301
 from sim.wires.session import DROP, SILENCE, FaultHook, WireFault
 from sim.world.pose import HeadFault
 from sim.world.world import World
-from tests.support.scripted_session import Clock, Pairs, ScriptedSession
+from tests.support.scripted_session import Clock, Pairs, ScriptedSession, swapped, until
 from tests.support.simulated_stand import a_world, served
 
 DEG = math.pi / 180
@@ -58,15 +58,6 @@ def head(session: object, clock: object | None = None, **options: object) -> New
     return NewportHead("head", session, clock or Clock(), TRAVEL, **options)  # type: ignore[arg-type]
 
 
-def instead(pairs: Pairs, command: str, reply: str) -> Pairs:
-    assert command in [sent for sent, _ in pairs]
-    return [(sent, reply if sent == command else answered) for sent, answered in pairs]
-
-
-def until(pairs: Pairs, command: str) -> Pairs:
-    return list(pairs)[: [sent for sent, _ in pairs].index(command) + 1]
-
-
 def test_a_whole_move_after_which_it_is_stopped_and_held() -> None:
     clock = Clock()
     script = ScriptedSession(OPEN, PREPARE, MOVE, STOP, clock=clock)
@@ -101,7 +92,7 @@ def test_how_an_angle_is_sent(target_deg: float, sent: str) -> None:
     ],
 )
 def test_one_that_is_not_as_it_must_be_is_refused(command: str, reply: str, told: str) -> None:
-    script = ScriptedSession(instead(until(OPEN, command), command, reply))
+    script = ScriptedSession(swapped(until(OPEN, command), command, reply))
     with pytest.raises(InstrumentRefused, match=told):
         head(script).open()
     assert script.left == []
@@ -118,7 +109,7 @@ def test_one_that_is_not_as_it_must_be_is_refused(command: str, reply: str, told
 def test_it_does_not_move_when_its_angle_may_be_false(
     pairs: Pairs, command: str, reply: str, told: str
 ) -> None:
-    script = ScriptedSession(OPEN, instead(until(pairs, command), command, reply), STOP)
+    script = ScriptedSession(OPEN, swapped(until(pairs, command), command, reply), STOP)
     h = head(script)
     h.open()
     with pytest.raises(InstrumentRefused, match=told):

@@ -11,9 +11,8 @@ from drivers.interfaces import (
     HeadPosition,
     Identity,
     InstrumentRefused,
-    LimitExceeded,
 )
-from tests.support.scripted_session import Clock, Pairs, ScriptedSession
+from tests.support.scripted_session import Clock, Pairs, ScriptedSession, swapped, until
 from tests.support.zaber_head import DEG, STEPS, head
 
 OPEN: Pairs = [
@@ -42,15 +41,6 @@ MOVE: Pairs = [
     ("/1 1 19", "@01 1 19 OK IDLE -- 0"),
     ("/1 1 20 get pos", "@01 1 20 OK IDLE -- 384003"),
 ]
-
-
-def swapped(pairs: Pairs, command: str, reply: str | BaseException) -> Pairs:
-    assert command in [sent for sent, _ in pairs]
-    return [(sent, reply if sent == command else answered) for sent, answered in pairs]
-
-
-def until(pairs: Pairs, command: str) -> Pairs:
-    return list(pairs)[: [sent for sent, _ in pairs].index(command) + 1]
 
 
 def renumbered(pairs: Pairs, shift: int) -> Pairs:
@@ -113,16 +103,6 @@ def test_old_firmware_without_alert_and_serial_number_will_do() -> None:
     old = swapped(OPEN, "/1 0 01 set comm.alert 0", "@01 0 01 RJ IDLE -- BADCOMMAND")
     old = swapped(old, "/1 0 06 get system.serial", "@01 0 06 RJ IDLE -- BADCOMMAND")
     assert head(ScriptedSession(old)).open() == Identity("Zaber", "20031", "", "7.38")
-
-
-@pytest.mark.parametrize(("target_deg", "direction"), [(400.0, 1), (-20.0, -1), (-9.5, 1), (float("inf"), 1)])
-def test_limits_are_checked_before_anything_is_sent(target_deg: float, direction: int) -> None:
-    script = ScriptedSession(OPEN)
-    h = head(script)
-    h.open()
-    with pytest.raises(LimitExceeded):
-        h.move(target_deg * DEG, direction, "1/turn")  # type: ignore[arg-type]
-    assert script.left == []
 
 
 @pytest.mark.parametrize(

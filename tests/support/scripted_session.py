@@ -22,6 +22,17 @@ class Clock:
         self.time_s += duration_s
 
 
+def swapped(pairs: Pairs, command: str, reply: str | BaseException) -> Pairs:
+    """Return the pairs with another reply to a command."""
+    assert command in [sent for sent, _ in pairs]
+    return [(sent, reply if sent == command else answered) for sent, answered in pairs]
+
+
+def until(pairs: Pairs, command: str) -> Pairs:
+    """Return the pairs up to a command and its reply."""
+    return list(pairs)[: [sent for sent, _ in pairs].index(command) + 1]
+
+
 class ScriptedSession:
     """A reply of None has none; an exception is raised. A reply of another form ends the connection."""
 
@@ -36,6 +47,7 @@ class ScriptedSession:
         self.made = 0
         self.clock = clock or Clock()
         self.sent_at_s: list[tuple[str, float]] = []
+        self.timeouts_s: dict[str, float | None] = {}
 
     def _next(self, command: str) -> str | None:
         assert self.left, f"{command} was sent when nothing was expected"
@@ -59,6 +71,7 @@ class ScriptedSession:
     def query(
         self, command: str, timeout_s: float | None = None, pattern: str | None = None, expected: str = ""
     ) -> str:
+        self.timeouts_s[command] = timeout_s
         reply = self._next(command)
         assert reply is not None, f"{command} has no reply"
         if pattern is not None and re.fullmatch(pattern, reply) is None:
