@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from sim.agilent_34401a import Agilent34401A
 from sim.world.chance import keyed_generator
 from sim.world.clock import VirtualClock
+from tests.support.simulated_stand import ask, tell
 
 READING = re.compile(r"[+-]\d\.\d{8}E[+-]\d\d")
 
@@ -53,17 +54,6 @@ def bench() -> Bench:
 @pytest.fixture
 def meter(bench: Bench) -> Agilent34401A:
     return Agilent34401A(bench, bench.clock, noise=False)
-
-
-def say(meter: Agilent34401A, message: str) -> str | None:
-    reply = meter.handle(message.encode())
-    return None if reply is None else reply.decode()
-
-
-def ask(meter: Agilent34401A, message: str) -> str:
-    reply = say(meter, message)
-    assert reply is not None, f"no reply to {message}"
-    return reply
 
 
 def error(meter: Agilent34401A) -> str:
@@ -181,7 +171,7 @@ def test_a_rounded_zero_keeps_the_exponent_of_its_step() -> None:
     ],
 )
 def test_settings_are_taken_and_read_back(meter: Agilent34401A, sent: str, query: str, reply: str) -> None:
-    say(meter, sent)
+    tell(meter, sent)
     assert ask(meter, query) == reply
     assert error(meter) == NO_ERROR
 
@@ -206,7 +196,7 @@ def test_settings_are_taken_and_read_back(meter: Agilent34401A, sent: str, query
     ],
 )
 def test_refusals(meter: Agilent34401A, sent: str, reply: str) -> None:
-    say(meter, sent)
+    tell(meter, sent)
     assert error(meter) == reply
     assert error(meter) == NO_ERROR
 
@@ -228,11 +218,11 @@ def test_refusals(meter: Agilent34401A, sent: str, reply: str) -> None:
 def test_every_function_with_a_range_is_configured_measured_and_selected(
     meter: Agilent34401A, notation: str, name: str, maximum: str
 ) -> None:
-    say(meter, f"CONF:{notation} MAX,MAX")
+    tell(meter, f"CONF:{notation} MAX,MAX")
     assert ask(meter, "CONF?").startswith(f'"{name} +{maximum},')
     assert READING.fullmatch(ask(meter, f"MEAS:{notation}? DEF, DEF"))
-    say(meter, "*RST")
-    say(meter, f"FUNC '{notation}'")
+    tell(meter, "*RST")
+    tell(meter, f"FUNC '{notation}'")
     assert ask(meter, "FUNC?") == f'"{name}"'
     assert READING.fullmatch(ask(meter, "READ?"))
     assert error(meter) == NO_ERROR
@@ -249,57 +239,57 @@ def test_functions_without_a_range(meter: Agilent34401A, name: str) -> None:
     "node", ["VOLT:DC", "VOLT:AC", "CURR:DC", "CURR:AC", "RES", "FRES", "FREQ:VOLT", "PER:VOLT"]
 )
 def test_every_range_node_is_set_and_read(meter: Agilent34401A, node: str) -> None:
-    say(meter, f"{node}:RANG MAX")
+    tell(meter, f"{node}:RANG MAX")
     assert ask(meter, f"{node}:RANG:AUTO?") == "0"
     assert ask(meter, f"{node}:RANG?") == ask(meter, f"{node}:RANG? MAX")
-    say(meter, f"{node}:RANG:AUTO ON")
+    tell(meter, f"{node}:RANG:AUTO ON")
     assert ask(meter, f"{node}:RANG:AUTO?") == "1"
     assert error(meter) == NO_ERROR
 
 
 @pytest.mark.parametrize("node", ["FREQ:APER", "PER:APER", "CURR:NPLC", "RES:NPLC", "FRES:NPLC", "CURR:RES"])
 def test_every_integration_node_is_set_and_read(meter: Agilent34401A, node: str) -> None:
-    say(meter, f"{node} MIN")
+    tell(meter, f"{node} MIN")
     assert ask(meter, f"{node}?") == ask(meter, f"{node}? MIN")
-    say(meter, f"{node} MAX")
+    tell(meter, f"{node} MAX")
     assert ask(meter, f"{node}?") == ask(meter, f"{node}? MAX")
     assert error(meter) == NO_ERROR
 
 
 def test_configure_brings_the_presets(meter: Agilent34401A) -> None:
-    say(meter, "INP:IMP:AUTO ON;:ZERO:AUTO OFF;:TRIG:SOUR BUS;COUN 4;DEL 1;:SAMP:COUN 9;:DET:BAND 3")
-    say(meter, "CALC:FUNC AVER;STAT ON")
-    say(meter, "CONF:VOLT:DC 10")
+    tell(meter, "INP:IMP:AUTO ON;:ZERO:AUTO OFF;:TRIG:SOUR BUS;COUN 4;DEL 1;:SAMP:COUN 9;:DET:BAND 3")
+    tell(meter, "CALC:FUNC AVER;STAT ON")
+    tell(meter, "CONF:VOLT:DC 10")
     queries = "INP:IMP:AUTO?;:ZERO:AUTO?;:TRIG:SOUR?;COUN?;DEL:AUTO?;:SAMP:COUN?;:DET:BAND?;:CALC:STAT?"
     assert ask(meter, queries) == "0;1;IMM;+1;1;+1;+2.000000E+01;0"
     assert ask(meter, "VOLT:RANG:AUTO?;:VOLT:RANG?;NPLC?") == "0;+1.000000E+01;+1.000000E+01"
 
 
 def test_configure_with_a_coarse_resolution_switches_autozero_off(meter: Agilent34401A) -> None:
-    say(meter, "CONF:VOLT:DC 10,1E-3")
+    tell(meter, "CONF:VOLT:DC 10,1E-3")
     assert ask(meter, "VOLT:NPLC?;:ZERO:AUTO?") == "+2.000000E-02;0"
-    say(meter, "CONF:VOLT:DC DEF")
+    tell(meter, "CONF:VOLT:DC DEF")
     assert ask(meter, "VOLT:RANG:AUTO?;:ZERO:AUTO?") == "1;1"
 
 
 def test_a_refused_configuration_changes_nothing(meter: Agilent34401A) -> None:
-    say(meter, "CONF:VOLT:DC 1;:SAMP:COUN 5")
-    say(meter, "CONF:CURR:DC 1,1E-9")
+    tell(meter, "CONF:VOLT:DC 1;:SAMP:COUN 5")
+    tell(meter, "CONF:CURR:DC 1,1E-9")
     assert error(meter).startswith("+532")
     assert ask(meter, "FUNC?;:VOLT:RANG?;:SAMP:COUN?") == '"VOLT";+1.000000E+00;+5'
 
 
 def test_reset_restores_settings_but_not_masks_and_errors(meter: Agilent34401A) -> None:
-    say(meter, "NONSENSE")
-    say(meter, "*ESE 8;:VOLT:RANG 1;:SAMP:COUN 5;:INIT")
-    say(meter, "*RST")
+    tell(meter, "NONSENSE")
+    tell(meter, "*ESE 8;:VOLT:RANG 1;:SAMP:COUN 5;:INIT")
+    tell(meter, "*RST")
     assert ask(meter, "*ESE?;:VOLT:RANG:AUTO?;:SAMP:COUN?;:DATA:POIN?") == "+8;1;+1;+0"
     assert error(meter).startswith("-113")
 
 
 def test_power_cycle_loses_settings_and_errors_but_not_the_beeper(meter: Agilent34401A) -> None:
-    say(meter, "NONSENSE")
-    say(meter, "VOLT:RANG 1;NPLC 100;:SYST:BEEP:STAT OFF")
+    tell(meter, "NONSENSE")
+    tell(meter, "VOLT:RANG 1;NPLC 100;:SYST:BEEP:STAT OFF")
     meter.power_cycle()
     assert error(meter) == NO_ERROR
     assert ask(meter, "VOLT:RANG:AUTO?;:VOLT:NPLC?;:SYST:BEEP:STAT?;*ESR?") == "1;+1.000000E+01;0;+128"
@@ -312,27 +302,27 @@ def test_rs232_refuses_until_told_to_be_remote() -> None:
     meter = a_meter(interface="rs232")
     assert ask(meter, "*IDN?").startswith("HEWLETT-PACKARD")
     for refused in ("READ?", "VOLT:RANG 1", "FUNC?", "INIT"):
-        assert say(meter, refused) is None
+        assert tell(meter, refused) is None
         assert error(meter) == '+550,"Command not allowed in local"'
-    say(meter, "SYST:REM")
+    tell(meter, "SYST:REM")
     assert READING.fullmatch(ask(meter, "READ?"))
-    say(meter, "SYST:LOC")
-    assert say(meter, "READ?") is None
+    tell(meter, "SYST:LOC")
+    assert tell(meter, "READ?") is None
     assert error(meter).startswith("+550")
-    say(meter, "SYST:RWL")
+    tell(meter, "SYST:RWL")
     assert ask(meter, "FUNC?") == '"VOLT"'
     meter.power_cycle()
-    assert say(meter, "FUNC?") is None
+    assert tell(meter, "FUNC?") is None
 
 
 @pytest.mark.parametrize("command", ["SYST:REM", "SYST:LOC", "SYST:RWL"])
 def test_gpib_refuses_the_remote_commands_and_lan_takes_them(command: str) -> None:
     gpib = a_meter(interface="gpib")
-    say(gpib, command)
+    tell(gpib, command)
     assert error(gpib) == '+514,"Command allowed only with RS-232"'
     assert READING.fullmatch(ask(gpib, "READ?"))
     lan = a_meter()
-    say(lan, command)
+    tell(lan, command)
     assert error(lan) == NO_ERROR
     assert READING.fullmatch(ask(lan, "READ?"))
 
@@ -367,7 +357,7 @@ def test_no_message_whatever_breaks_the_meter(message: bytes) -> None:
 
 
 def test_initiate_stores_and_fetch_hands_over_as_often_as_asked(meter: Agilent34401A, bench: Bench) -> None:
-    say(meter, "CONF:VOLT:DC 10;:SAMP:COUN 2;:TRIG:COUN 3;:INIT")
+    tell(meter, "CONF:VOLT:DC 10;:SAMP:COUN 2;:TRIG:COUN 3;:INIT")
     first = ask(meter, "FETC?")
     assert first.count(",") == 5
     assert ask(meter, "FETC?") == first
@@ -377,64 +367,64 @@ def test_initiate_stores_and_fetch_hands_over_as_often_as_asked(meter: Agilent34
 
 def test_read_does_not_store(meter: Agilent34401A) -> None:
     ask(meter, "READ?")
-    assert say(meter, "FETC?") is None
+    assert tell(meter, "FETC?") is None
     assert error(meter) == '-230,"Data stale"'
 
 
 def test_fetch_with_memory_switched_off_is_stale(meter: Agilent34401A) -> None:
-    say(meter, 'DATA:FEED RDG_STORE,"";:INIT')
-    assert say(meter, "FETC?") is None
+    tell(meter, 'DATA:FEED RDG_STORE,"";:INIT')
+    assert tell(meter, "FETC?") is None
     assert error(meter) == '-230,"Data stale"'
 
 
 def test_bus_trigger(meter: Agilent34401A) -> None:
-    say(meter, "TRIG:SOUR BUS;COUN 2;:INIT")
-    assert say(meter, "FETC?") is None
+    tell(meter, "TRIG:SOUR BUS;COUN 2;:INIT")
+    assert tell(meter, "FETC?") is None
     assert error(meter) == '-230,"Data stale"'
-    say(meter, "*TRG")
-    say(meter, "*TRG")
+    tell(meter, "*TRG")
+    tell(meter, "*TRG")
     assert ask(meter, "DATA:POIN?") == "+2"
-    say(meter, "*TRG")
+    tell(meter, "*TRG")
     assert error(meter) == '-211,"Trigger ignored"'
 
 
 def test_read_with_bus_trigger_is_a_deadlock(meter: Agilent34401A) -> None:
-    assert say(meter, "TRIG:SOUR BUS;:READ?") is None
+    assert tell(meter, "TRIG:SOUR BUS;:READ?") is None
     assert error(meter) == '-214,"Trigger deadlock"'
 
 
 def test_initiate_twice_is_ignored_and_the_first_goes_on(meter: Agilent34401A) -> None:
-    say(meter, "INIT")
-    say(meter, "INIT")
+    tell(meter, "INIT")
+    tell(meter, "INIT")
     assert error(meter) == '-213,"Init ignored"'
     assert ask(meter, "FETC?") == "+1.23456789E+00"
-    say(meter, "TRIG:SOUR BUS;:INIT")
-    assert say(meter, "READ?") is None
+    tell(meter, "TRIG:SOUR BUS;:INIT")
+    assert tell(meter, "READ?") is None
     assert error(meter) == '-213,"Init ignored"'
 
 
 @pytest.mark.parametrize("counts", ["SAMP:COUN 513", "SAMP:COUN 256;:TRIG:COUN 3", "TRIG:COUN INF"])
 def test_initiate_needs_room_for_all_readings(meter: Agilent34401A, counts: str) -> None:
-    say(meter, f"{counts};:INIT")
+    tell(meter, f"{counts};:INIT")
     assert error(meter) == '+531,"Insufficient memory"'
-    say(meter, "SAMP:COUN 512;:TRIG:COUN 1;:VOLT:NPLC 0.02;:INIT")
+    tell(meter, "SAMP:COUN 512;:TRIG:COUN 1;:VOLT:NPLC 0.02;:INIT")
     assert ask(meter, "DATA:POIN?") == "+512"
     assert error(meter) == NO_ERROR
 
 
 def test_read_may_be_longer_than_the_memory_but_not_endless(meter: Agilent34401A) -> None:
-    say(meter, "VOLT:NPLC 0.02;:SAMP:COUN 600")
+    tell(meter, "VOLT:NPLC 0.02;:SAMP:COUN 600")
     assert ask(meter, "READ?").count(",") == 599
-    assert say(meter, "TRIG:COUN INF;:READ?") is None
+    assert tell(meter, "TRIG:COUN INF;:READ?") is None
     assert error(meter).startswith("+522")
-    say(meter, 'DATA:FEED RDG_STORE,"";:INIT')
+    tell(meter, 'DATA:FEED RDG_STORE,"";:INIT')
     assert error(meter).startswith("+522")
 
 
 def test_device_clear_ends_waiting_and_keeps_settings(meter: Agilent34401A) -> None:
-    say(meter, "VOLT:RANG 1;:TRIG:SOUR BUS;:INIT")
+    tell(meter, "VOLT:RANG 1;:TRIG:SOUR BUS;:INIT")
     meter.device_clear()
-    say(meter, "*TRG")
+    tell(meter, "*TRG")
     assert error(meter) == '-211,"Trigger ignored"'
     assert ask(meter, "VOLT:RANG?;:TRIG:SOUR?") == "+1.000000E+00;BUS"
 
@@ -463,19 +453,19 @@ def test_device_clear_while_a_reading_is_waited_for_gives_it_up(meter: Agilent34
 def test_a_reading_takes_its_time(
     meter: Agilent34401A, bench: Bench, settings: str, duration_s: float
 ) -> None:
-    say(meter, settings)
-    say(meter, "READ?")
+    tell(meter, settings)
+    tell(meter, "READ?")
     assert bench.clock.now_s() == pytest.approx(duration_s)
 
 
 def test_line_frequency_decides_the_integration_time(bench: Bench) -> None:
     meter = Agilent34401A(bench, bench.clock, line_hz=60.0)
-    say(meter, "VOLT:NPLC 10;:READ?")
+    tell(meter, "VOLT:NPLC 10;:READ?")
     assert bench.clock.now_s() == pytest.approx(20 / 60 + 1.5e-3)
 
 
 def test_initiate_returns_at_once_and_any_other_command_waits(meter: Agilent34401A, bench: Bench) -> None:
-    say(meter, "VOLT:NPLC 10;:SAMP:COUN 5;:INIT")
+    tell(meter, "VOLT:NPLC 10;:SAMP:COUN 5;:INIT")
     assert bench.clock.now_s() == 0.0
     assert ask(meter, "*OPC?") == "1"
     assert bench.clock.now_s() == pytest.approx(5 * 0.4015)
@@ -486,7 +476,7 @@ def test_initiate_returns_at_once_and_any_other_command_waits(meter: Agilent3440
 def test_samples_are_taken_at_their_own_times_however_late_they_are_fetched(
     meter: Agilent34401A, bench: Bench
 ) -> None:
-    say(meter, "VOLT:NPLC 10;:VOLT:RANG 10;:SAMP:COUN 3;:INIT")
+    tell(meter, "VOLT:NPLC 10;:VOLT:RANG 10;:SAMP:COUN 3;:INIT")
     bench.clock.sleep(100.0)
     ask(meter, "FETC?")
     assert bench.asked_s == pytest.approx([0.1015, 0.503, 0.9045])
@@ -503,7 +493,7 @@ def test_samples_are_taken_at_their_own_times_however_late_they_are_fetched(
 def test_overload_above_120_percent(signal_v: float, reply: str) -> None:
     bench = Bench(signal_v)
     meter = Agilent34401A(bench, bench.clock, noise=False)
-    say(meter, "*CLS;:VOLT:RANG 10")
+    tell(meter, "*CLS;:VOLT:RANG 10")
     assert ask(meter, "READ?") == reply
     overloaded = reply[1:4] == "9.9"
     assert ask(meter, "*ESR?;:STAT:QUES?") == ("+8;+1" if overloaded else "+0;+0")
@@ -532,7 +522,7 @@ def test_autorange_up_at_120_and_down_at_10_percent(before_v: float, signal_v: f
 @pytest.mark.parametrize(("nplc", "step_v"), [("100", 3e-6), ("10", 10e-6), ("1", 30e-6), ("0.2", 1e-4)])
 def test_noisy_readings_are_multiples_of_the_resolution(bench: Bench, nplc: str, step_v: float) -> None:
     meter = Agilent34401A(bench, bench.clock)
-    say(meter, f"CONF:VOLT:DC 10;:VOLT:NPLC {nplc};:SAMP:COUN 50")
+    tell(meter, f"CONF:VOLT:DC 10;:VOLT:NPLC {nplc};:SAMP:COUN 50")
     steps = np.array([float(text) / step_v for text in ask(meter, "READ?").split(",")])
     np.testing.assert_allclose(steps, np.round(steps), rtol=0, atol=1e-2)
 
@@ -542,7 +532,7 @@ def test_noise_depends_on_the_integration_time(bench: Bench, nplc: str, sigma_v:
     # 2000 samples: the standard deviation is known to 1.6 %; bound 5 sigma. Rounding to a step adds
     # step²/12, on which the noise rides only in part, hence one step of slack on top.
     meter = Agilent34401A(bench, bench.clock)
-    say(meter, f"CONF:VOLT:DC 10;:VOLT:NPLC {nplc};:SAMP:COUN 2000")
+    tell(meter, f"CONF:VOLT:DC 10;:VOLT:NPLC {nplc};:SAMP:COUN 2000")
     values = np.array([float(text) for text in ask(meter, "READ?").split(",")])
     step_v = {"1": 30e-6, "10": 10e-6, "100": 3e-6}[nplc]
     assert 0.5 * sigma_v < np.std(values) < np.hypot(sigma_v, step_v / 2)
@@ -562,7 +552,7 @@ def test_noise_is_keyed_by_the_reading(bench: Bench) -> None:
 def test_accuracy_is_drawn_once_within_half_the_90_day_limits() -> None:
     bench = Bench(10.0)
     meter = Agilent34401A(bench, bench.clock, noise=False, accuracy="90 days")
-    say(meter, "VOLT:RANG 10")
+    tell(meter, "VOLT:RANG 10")
     at_10_v = float(ask(meter, "READ?")) - 10.0
     assert float(ask(meter, "READ?")) - 10.0 == pytest.approx(at_10_v, abs=1e-12)
     bench.voltage_v = 0.0
@@ -576,7 +566,7 @@ def test_accuracy_is_drawn_once_within_half_the_90_day_limits() -> None:
 def test_temperature_matters_outside_23_plus_minus_5() -> None:
     bench = Bench(10.0)
     meter = Agilent34401A(bench, bench.clock, noise=False, accuracy="90 days")
-    say(meter, "VOLT:RANG 10")
+    tell(meter, "VOLT:RANG 10")
     readings = {}
     for temperature_c in (18.0, 23.0, 28.0, 29.0, 30.0, 17.0):
         bench.temperature_c = temperature_c
@@ -589,7 +579,7 @@ def test_temperature_matters_outside_23_plus_minus_5() -> None:
 
 
 def test_average_keeps_count_and_extremes(meter: Agilent34401A, bench: Bench) -> None:
-    say(meter, "CALC:FUNC AVER;STAT ON")
+    tell(meter, "CALC:FUNC AVER;STAT ON")
     for voltage_v in (1.0, 4.0, 2.5):
         bench.voltage_v = voltage_v
         ask(meter, "READ?")

@@ -8,16 +8,7 @@ from sim.espec import EspecP300
 from sim.thermotron import Thermotron8800
 from sim.watlow_f4t import WatlowF4T
 from sim.world.world import World
-from tests.support.simulated_stand import a_world
-
-
-def tell(instrument: EspecP300 | WatlowF4T | Thermotron8800, *messages: str) -> str | None:
-    """Send messages; return the last reply."""
-    reply = None
-    for message in messages:
-        reply = instrument.handle(message.encode(), lambda: False)
-    return None if reply is None else reply.decode()
-
+from tests.support.simulated_stand import a_world, tell
 
 # --- Espec P300 -------------------------------------------------------------------------------------
 

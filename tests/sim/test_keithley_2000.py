@@ -2,20 +2,16 @@
 
 import random
 
-import numpy as np
 import pytest
 
-from bench.model import Block, ForwardModel
-from bench.model.geometry import INSTALLATION_1
 from sim.keithley_2000 import Keithley2000
-from sim.world.clock import VirtualClock
-from sim.world.world import World, WorldSettings
+from sim.world.world import World
+from tests.support.simulated_stand import a_world, tell
 
 
 @pytest.fixture
 def world() -> World:
-    block = Block(np.diag([-2.1, -2.2, -2.3]), np.array([0.1, 0.2, 0.3]))
-    return World(WorldSettings(block, ForwardModel({"1": INSTALLATION_1}), {}, seed=5), VirtualClock())
+    return a_world(seed=5)
 
 
 @pytest.fixture
@@ -23,32 +19,27 @@ def meter(world: World) -> Keithley2000:
     return Keithley2000(world.terminals("x"), world.clock, noise=False)
 
 
-def say(meter: Keithley2000, message: str) -> str | None:
-    reply = meter.handle(message.encode())
-    return None if reply is None else reply.decode()
-
-
 def test_switched_on_it_measures_by_itself_with_its_filter(meter: Keithley2000) -> None:
-    assert say(meter, ":INIT:CONT?;:VOLT:DC:AVER:STAT?") == "1;1"
-    say(meter, ":INIT")
-    assert say(meter, ":SYST:ERR?;ERR?") == '-213,"Init ignored";0,"No error"'
-    say(meter, "*RST")
-    assert say(meter, ":INIT:CONT?;:VOLT:DC:AVER:STAT?;:VOLT:DC:NPLC?") == "0;0;1.00"
+    assert tell(meter, ":INIT:CONT?;:VOLT:DC:AVER:STAT?") == "1;1"
+    tell(meter, ":INIT")
+    assert tell(meter, ":SYST:ERR?;ERR?") == '-213,"Init ignored";0,"No error"'
+    tell(meter, "*RST")
+    assert tell(meter, ":INIT:CONT?;:VOLT:DC:AVER:STAT?;:VOLT:DC:NPLC?") == "0;0;1.00"
 
 
 def test_the_buffer_is_filled_once_and_whoever_does_not_wait_gets_nothing(
     meter: Keithley2000, world: World
 ) -> None:
-    say(meter, "*RST;:VOLT:RANG 10;NPLC 10;:SAMP:COUN 3;:TRAC:POIN 3;FEED:CONT NEXT;:INIT")
+    tell(meter, "*RST;:VOLT:RANG 10;NPLC 10;:SAMP:COUN 3;:TRAC:POIN 3;FEED:CONT NEXT;:INIT")
     began_s = world.clock.now_s()
-    assert say(meter, ":TRAC:DATA?") is None
-    assert say(meter, ":SYST:ERR?") == '-230,"Data corrupt or stale"'
-    reply = say(meter, "*WAI;:TRAC:DATA?") or ""
+    assert tell(meter, ":TRAC:DATA?") is None
+    assert tell(meter, ":SYST:ERR?") == '-230,"Data corrupt or stale"'
+    reply = tell(meter, "*WAI;:TRAC:DATA?") or ""
     assert [float(text) for text in reply.split(",")] == pytest.approx([world.signal_v("x")] * 3, abs=1e-8)
     assert world.clock.now_s() - began_s == pytest.approx(3 * 2 * 10 / 50.0, abs=0.01)
     world.turn(1.0, 1)
-    say(meter, ":INIT")
-    assert say(meter, "*WAI;:TRAC:DATA?;:TRAC:FEED:CONT?") == f"{reply};NEV"
+    tell(meter, ":INIT")
+    assert tell(meter, "*WAI;:TRAC:DATA?;:TRAC:FEED:CONT?") == f"{reply};NEV"
 
 
 @pytest.mark.parametrize(
@@ -65,23 +56,23 @@ def test_the_buffer_is_filled_once_and_whoever_does_not_wait_gets_nothing(
     ],
 )
 def test_what_it_refuses(meter: Keithley2000, message: str, error: int) -> None:
-    say(meter, message)
-    assert (say(meter, "SYST:ERR?") or "").startswith(f"{error},")
+    tell(meter, message)
+    assert (tell(meter, "SYST:ERR?") or "").startswith(f"{error},")
 
 
 @pytest.mark.parametrize(("stated", "taken"), [("0.05", 0.1), ("2.5", 10.0), ("10", 10.0), ("1010", 1000.0)])
 def test_the_range_is_that_which_holds_the_signal(meter: Keithley2000, stated: str, taken: float) -> None:
-    assert float(say(meter, f":VOLT:DC:RANG {stated};RANG?") or "") == taken
-    assert say(meter, ":VOLT:DC:RANG:AUTO?") == "0"
+    assert float(tell(meter, f":VOLT:DC:RANG {stated};RANG?") or "") == taken
+    assert tell(meter, ":VOLT:DC:RANG:AUTO?") == "0"
 
 
 def test_an_overflow_is_printed_short(meter: Keithley2000, world: World) -> None:
-    say(meter, "*RST;:VOLT:RANG 0.1;:SAMP:COUN 2;:TRAC:POIN 2;FEED:CONT NEXT;:INIT")
+    tell(meter, "*RST;:VOLT:RANG 0.1;:SAMP:COUN 2;:TRAC:POIN 2;FEED:CONT NEXT;:INIT")
     assert abs(world.signal_v("x")) < 0.12
-    assert "9.9E37" not in (say(meter, "*WAI;:TRAC:DATA?") or "9.9E37")
+    assert "9.9E37" not in (tell(meter, "*WAI;:TRAC:DATA?") or "9.9E37")
     meter.overloaded = True
-    say(meter, ":TRAC:CLE;FEED:CONT NEXT;:INIT")
-    assert say(meter, "*WAI;:TRAC:DATA?") == "+9.9E37,+9.9E37"
+    tell(meter, ":TRAC:CLE;FEED:CONT NEXT;:INIT")
+    assert tell(meter, "*WAI;:TRAC:DATA?") == "+9.9E37,+9.9E37"
 
 
 @pytest.mark.parametrize("line_end", ["\n", "\r", "\r\n", "\n\r"])
@@ -105,4 +96,4 @@ def test_nothing_that_is_sent_breaks_it(meter: Keithley2000, world: World) -> No
         assert reply is None or reply.isascii()
         world.clock.sleep(generator.choice((0.0, 0.3, 2.0)))
     meter.device_clear()
-    assert say(meter, "*RST;*CLS;*IDN?") == meter.identity
+    assert tell(meter, "*RST;*CLS;*IDN?") == meter.identity

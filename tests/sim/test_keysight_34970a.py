@@ -13,6 +13,7 @@ from sim.keysight_34970a import Keysight34970A
 from sim.world.chance import keyed_generator
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
+from tests.support.simulated_stand import ask, tell
 
 NO_ERROR = '+0,"No error"'
 XYZ = "(@101:103)"
@@ -58,17 +59,6 @@ def a_meter(clock: VirtualClock, noise: bool = False, **options: object) -> Keys
     return Keysight34970A(wiring, clock, noise=noise, **options)  # type: ignore[arg-type]
 
 
-def say(meter: Keysight34970A, message: str) -> str | None:
-    reply = meter.handle(message.encode())
-    return None if reply is None else reply.decode()
-
-
-def ask(meter: Keysight34970A, message: str) -> str:
-    reply = say(meter, message)
-    assert reply is not None, f"no reply to {message}: {say(meter, 'SYST:ERR?')}"
-    return reply
-
-
 def volts(meter: Keysight34970A, message: str) -> list[float]:
     return [float(text) for text in ask(meter, message).split(",")]
 
@@ -77,9 +67,9 @@ def volts(meter: Keysight34970A, message: str) -> list[float]:
 
 
 def test_configure_presets_its_channels_and_makes_them_the_scan_list(meter: Keysight34970A) -> None:
-    say(meter, f"CONF:VOLT:DC 10,{XYZ};:VOLT:NPLC 100,{XYZ};:INP:IMP:AUTO ON,{XYZ};:ROUT:CHAN:DEL 1,{XYZ}")
-    say(meter, "FORM:READ:TIME ON;:TRIG:COUN 4")
-    say(meter, "CONF:VOLT:DC 1,(@102,101)")
+    tell(meter, f"CONF:VOLT:DC 10,{XYZ};:VOLT:NPLC 100,{XYZ};:INP:IMP:AUTO ON,{XYZ};:ROUT:CHAN:DEL 1,{XYZ}")
+    tell(meter, "FORM:READ:TIME ON;:TRIG:COUN 4")
+    tell(meter, "CONF:VOLT:DC 1,(@102,101)")
     assert ask(meter, "ROUT:SCAN?") == "#210(@101,102)"
     assert ask(meter, f"VOLT:DC:RANG? {XYZ}") == "+1.00000000E+00,+1.00000000E+00,+1.00000000E+01"
     assert ask(meter, f"VOLT:DC:NPLC? {XYZ}") == "+1.00000000E+00,+1.00000000E+00,+1.00000000E+02"
@@ -90,14 +80,14 @@ def test_configure_presets_its_channels_and_makes_them_the_scan_list(meter: Keys
 
 
 def test_the_scan_list_is_scanned_in_rising_order_each_channel_once(meter: Keysight34970A) -> None:
-    say(meter, "ROUT:SCAN (@103,101,102,101)")
+    tell(meter, "ROUT:SCAN (@103,101,102,101)")
     assert ask(meter, "ROUT:SCAN?;SCAN:SIZE?") == "#214(@101,102,103);+3"
-    say(meter, "ROUT:SCAN (@)")
+    tell(meter, "ROUT:SCAN (@)")
     assert ask(meter, "ROUT:SCAN?") == "#13(@)"
 
 
 def test_settings_without_a_list_are_those_of_the_scan_list(meter: Keysight34970A) -> None:
-    say(meter, "ROUT:SCAN (@101,102);:VOLT:DC:NPLC 20")
+    tell(meter, "ROUT:SCAN (@101,102);:VOLT:DC:NPLC 20")
     assert ask(meter, f"VOLT:DC:NPLC? {XYZ}") == "+2.00000000E+01,+2.00000000E+01,+1.00000000E+00"
 
 
@@ -120,7 +110,7 @@ def test_settings_without_a_list_are_those_of_the_scan_list(meter: Keysight34970
     ],
 )
 def test_mistakes(meter: Keysight34970A, command: str, error: str) -> None:
-    assert say(meter, command) is None
+    assert tell(meter, command) is None
     assert ask(meter, "SYST:ERR?") == error
 
 
@@ -133,9 +123,9 @@ def test_cards(clock: VirtualClock) -> None:
 
 
 def test_relays_open_and_close_and_reset_opens_them(meter: Keysight34970A) -> None:
-    say(meter, "ROUT:CLOS (@101,103)")
+    tell(meter, "ROUT:CLOS (@101,103)")
     assert ask(meter, f"ROUT:CLOS? {XYZ};OPEN? {XYZ}") == "1,0,1;0,1,0"
-    say(meter, "*RST")
+    tell(meter, "*RST")
     assert ask(meter, f"ROUT:CLOS? {XYZ}") == "0,0,0"
 
 
@@ -144,8 +134,8 @@ def test_relays_open_and_close_and_reset_opens_them(meter: Keysight34970A) -> No
 
 def test_channels_are_sampled_one_after_another(meter: Keysight34970A, clock: VirtualClock) -> None:
     """Relay 4 ms, delay 100 ms, 10 cycles at 50 Hz read in their middle, then as long again for the zero."""
-    say(meter, f"CONF:VOLT:DC 10,{XYZ};:VOLT:DC:NPLC 10,{XYZ};:ROUT:CHAN:DEL 0.1,{XYZ};:TRIG:COUN 2")
-    say(meter, "INIT")
+    tell(meter, f"CONF:VOLT:DC 10,{XYZ};:VOLT:DC:NPLC 10,{XYZ};:ROUT:CHAN:DEL 0.1,{XYZ};:TRIG:COUN 2")
+    tell(meter, "INIT")
     assert clock.now_s() == 0.0
     readings = volts(meter, "FETC?")
     times_s = [(v - offset) * 1e3 for v, offset in zip(readings, [1, 2, 3, 1, 2, 3], strict=True)]
@@ -159,38 +149,38 @@ def test_an_open_input_reads_zero(meter: Keysight34970A) -> None:
 
 
 def test_read_does_not_store(meter: Keysight34970A) -> None:
-    say(meter, f"CONF:VOLT:DC 10,{XYZ}")
+    tell(meter, f"CONF:VOLT:DC 10,{XYZ}")
     assert len(volts(meter, "READ?")) == 3
-    assert say(meter, "FETC?") is None
+    assert tell(meter, "FETC?") is None
 
 
 def test_readings_carry_what_the_format_asks_for(meter: Keysight34970A) -> None:
-    say(meter, "CONF:VOLT:DC 10,(@103);:FORM:READ:UNIT ON;TIME ON;CHAN ON;ALAR ON")
+    tell(meter, "CONF:VOLT:DC 10,(@103);:FORM:READ:UNIT ON;TIME ON;CHAN ON;ALAR ON")
     assert ask(meter, "READ?") == "+3.00001600E+00 VDC,000000000.016,103,0"
 
 
 def test_readings_are_taken_out_of_memory_oldest_first(meter: Keysight34970A) -> None:
-    say(meter, f"CONF:VOLT:DC 10,{XYZ};:TRIG:COUN 2;:INIT")
+    tell(meter, f"CONF:VOLT:DC 10,{XYZ};:TRIG:COUN 2;:INIT")
     first = volts(meter, "DATA:REM? 2")
     assert [round(v) for v in first] == [1, 2]
     assert ask(meter, "DATA:POIN?") == "+4"
-    assert say(meter, "DATA:REM? 5") is None
+    assert tell(meter, "DATA:REM? 5") is None
     assert ask(meter, "SYST:ERR?").startswith("-222")
 
 
 def test_bus_trigger_sweeps_once_each(meter: Keysight34970A) -> None:
-    say(meter, f"CONF:VOLT:DC 10,{XYZ};:TRIG:SOUR BUS;COUN 2;:INIT")
-    say(meter, "*TRG")
+    tell(meter, f"CONF:VOLT:DC 10,{XYZ};:TRIG:SOUR BUS;COUN 2;:INIT")
+    tell(meter, "*TRG")
     assert ask(meter, "DATA:POIN?") == "+3"
-    say(meter, "*TRG")
+    tell(meter, "*TRG")
     assert ask(meter, "DATA:POIN?") == "+6"
-    say(meter, "*TRG")
+    tell(meter, "*TRG")
     assert ask(meter, "SYST:ERR?") == '-211,"Trigger ignored"'
 
 
 def test_timer_spaces_the_sweeps(meter: Keysight34970A, clock: VirtualClock) -> None:
     readings = None
-    say(meter, "CONF:VOLT:DC 10,(@101);:TRIG:SOUR TIM;TIM 10;COUN 3;:INIT")
+    tell(meter, "CONF:VOLT:DC 10,(@101);:TRIG:SOUR TIM;TIM 10;COUN 3;:INIT")
     readings = volts(meter, "FETC?")
     assert np.diff(readings) == pytest.approx([0.01, 0.01], abs=1e-8)
 
@@ -198,15 +188,15 @@ def test_timer_spaces_the_sweeps(meter: Keysight34970A, clock: VirtualClock) -> 
 def test_a_scan_under_way_is_not_started_again_and_can_be_aborted(
     meter: Keysight34970A, clock: VirtualClock
 ) -> None:
-    say(meter, f"CONF:VOLT:DC 10,{XYZ};:INIT;:INIT")
-    say(meter, "ABOR")
+    tell(meter, f"CONF:VOLT:DC 10,{XYZ};:INIT;:INIT")
+    tell(meter, "ABOR")
     assert clock.now_s() == 0.0
     assert ask(meter, "SYST:ERR?") == '-213,"Init ignored"'
-    assert say(meter, "FETC?") is None
+    assert tell(meter, "FETC?") is None
 
 
 def test_overload(meter: Keysight34970A) -> None:
-    say(meter, f"CONF:VOLT:DC 1,{XYZ}")
+    tell(meter, f"CONF:VOLT:DC 1,{XYZ}")
     assert volts(meter, "READ?")[1:] == [9.9e37, 9.9e37]
     assert ask(meter, "STAT:QUES?") == "+1"
     assert ask(meter, "SYST:ERR?") == NO_ERROR
@@ -222,7 +212,7 @@ def test_gain_and_offset_are_the_meters_and_noise_is_each_readings(clock: Virtua
     assert errors_v[0] == pytest.approx(errors_v[1], abs=2e-5)
     assert 1e-6 < abs(errors_v[0]) < 2e-4
     noisy = a_meter(clock, noise=True)
-    say(noisy, "CONF:VOLT:DC 10,(@101);:VOLT:NPLC 1;:TRIG:COUN 200")
+    tell(noisy, "CONF:VOLT:DC 10,(@101);:VOLT:NPLC 1;:TRIG:COUN 200")
     assert 5e-6 < np.std(np.diff(volts(noisy, "READ?")) - 1e-3 * 0.046) < 5e-5
 
 
@@ -236,9 +226,9 @@ def test_identities(clock: VirtualClock) -> None:
 
 def test_rs232_wants_remote_first(clock: VirtualClock) -> None:
     meter = a_meter(clock, interface="rs232")
-    assert say(meter, "READ?") is None
+    assert tell(meter, "READ?") is None
     assert ask(meter, "SYST:ERR?") == '+550,"Command not allowed in local"'
-    say(meter, f"SYST:REM;:CONF:VOLT:DC 10,{XYZ}")
+    tell(meter, f"SYST:REM;:CONF:VOLT:DC 10,{XYZ}")
     assert len(volts(meter, "READ?")) == 3
 
 

@@ -10,7 +10,7 @@ from sim.acutrol import AcutrolTable
 from sim.world.pose import HeadFault
 from sim.world.world import World
 from sim.zaber import ZaberStage
-from tests.support.simulated_stand import a_world
+from tests.support.simulated_stand import a_world, tell
 
 DEG = math.pi / 180
 STEPS = 12800 / 3
@@ -19,14 +19,6 @@ STEPS = 12800 / 3
 def a_stage(**options: object) -> tuple[ZaberStage, World]:
     world = a_world()
     return ZaberStage(world, steps_per_degree=STEPS, **options), world  # type: ignore[arg-type]
-
-
-def tell(instrument: ZaberStage | AcutrolTable, *messages: str) -> str | None:
-    """Send messages; return the last reply."""
-    reply = None
-    for message in messages:
-        reply = instrument.handle(message.encode(), lambda: False)
-    return None if reply is None else reply.decode()
 
 
 # --- Zaber ------------------------------------------------------------------------------------------

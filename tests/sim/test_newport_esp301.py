@@ -10,7 +10,7 @@ import pytest
 from sim.newport_esp301 import Esp301
 from sim.world.pose import HeadFault
 from sim.world.world import World
-from tests.support.simulated_stand import a_world
+from tests.support.simulated_stand import a_world, tell
 
 DEG = math.pi / 180
 WORDS = "1 2 PA PR TP MD MO MF ST VA SN OR TB? TE? *IDN? ? ; , -5 45.0 nan inf 1e9"
@@ -19,14 +19,6 @@ WORDS = "1 2 PA PR TP MD MO MF ST VA SN OR TB? TE? *IDN? ? ; , -5 45.0 nan inf 1
 def a_stage(**options: object) -> tuple[Esp301, World]:
     world = a_world()
     return Esp301(world, **options), world  # type: ignore[arg-type]
-
-
-def tell(stage: Esp301, *lines: str) -> str | None:
-    """Send lines; return the last reply."""
-    reply = None
-    for line in lines:
-        reply = stage.handle(line.encode(), lambda: False)
-    return None if reply is None else reply.decode()
 
 
 @pytest.mark.parametrize(

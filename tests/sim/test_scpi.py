@@ -4,6 +4,7 @@ import pytest
 
 from sim.scpi import Command, ScpiInstrument
 from sim.scpi_values import Boolean, Choice, Number, ScpiError, Text, notation_pattern
+from tests.support.simulated_stand import tell
 
 
 class Toy(ScpiInstrument):
@@ -52,13 +53,8 @@ def toy() -> Toy:
     return Toy()
 
 
-def say(toy: Toy, message: str) -> str | None:
-    reply = toy.handle(message.encode())
-    return None if reply is None else reply.decode()
-
-
 def error(toy: Toy) -> int:
-    reply = say(toy, "SYST:ERR?")
+    reply = tell(toy, "SYST:ERR?")
     assert reply is not None
     return int(reply.split(",")[0])
 
@@ -71,7 +67,7 @@ def error(toy: Toy) -> int:
     ],
 )  # fmt: skip
 def test_every_legal_spelling_of_a_header_is_understood(toy: Toy, header: str) -> None:
-    say(toy, f"{header} 2.5")
+    tell(toy, f"{header} 2.5")
     assert error(toy) == 0
     assert toy.level == 2.5
 
@@ -126,15 +122,15 @@ def test_each_mistake_has_its_number(toy: Toy, message: str, number: int) -> Non
     ],
 )  # fmt: skip
 def test_numbers_suffixes_and_words(toy: Toy, text: str, value: float) -> None:
-    say(toy, f"LEV:VAL {text}")
+    tell(toy, f"LEV:VAL {text}")
     assert error(toy) == 0
     assert toy.level == pytest.approx(value, rel=1e-12)
 
 
 def test_m_is_mega_before_ohm_and_milli_elsewhere(toy: Toy) -> None:
-    say(toy, "OUTP:LOAD 2 MOHM")
+    tell(toy, "OUTP:LOAD 2 MOHM")
     assert toy.level == 2e6
-    say(toy, "LEV:VAL 2 MV")
+    tell(toy, "LEV:VAL 2 MV")
     assert toy.level == 2e-3
 
 
@@ -143,8 +139,8 @@ def test_m_is_mega_before_ohm_and_milli_elsewhere(toy: Toy) -> None:
 )
 def test_booleans(toy: Toy, text: str, flag: str) -> None:
     toy.on = "?"
-    say(toy, f"OUTP:STAT {text}")
-    assert say(toy, "OUTP:STAT?") == flag
+    tell(toy, f"OUTP:STAT {text}")
+    assert tell(toy, "OUTP:STAT?") == flag
 
 
 @pytest.mark.parametrize(
@@ -152,101 +148,101 @@ def test_booleans(toy: Toy, text: str, flag: str) -> None:
     [('"it"', "it"), ("'it'", "it"), ('"a""b"', 'a"b'), ("'a''b'", "a'b"), ("'a;b,c'", "a;b,c"), ('""', "")],
 )
 def test_strings_in_both_quotes(toy: Toy, sent: str, text: str) -> None:
-    say(toy, f"DISP:TEXT {sent};TEXT?")
+    tell(toy, f"DISP:TEXT {sent};TEXT?")
     assert toy.label == text
     assert error(toy) == 0
 
 
 def test_compound_stays_in_the_subsystem_and_joins_replies(toy: Toy) -> None:
-    assert say(toy, "SENS:LEV:VAL 2;MODE SLOW;VAL?;*IDN?;MODE?") == "+2.000000E+00;MAKER,TOY,0,1;SLOW"
-    assert say(toy, "LEV:VAL?;:OUTP:STAT?;:LEV:MODE?") == "+2.000000E+00;0;SLOW"
+    assert tell(toy, "SENS:LEV:VAL 2;MODE SLOW;VAL?;*IDN?;MODE?") == "+2.000000E+00;MAKER,TOY,0,1;SLOW"
+    assert tell(toy, "LEV:VAL?;:OUTP:STAT?;:LEV:MODE?") == "+2.000000E+00;0;SLOW"
     assert error(toy) == 0
 
 
 def test_compound_without_a_colon_does_not_leave_the_subsystem(toy: Toy) -> None:
-    assert say(toy, "LEV:VAL?;OUTP:STAT?") == "+0.000000E+00"
+    assert tell(toy, "LEV:VAL?;OUTP:STAT?") == "+0.000000E+00"
     assert error(toy) == -113
 
 
 def test_the_path_starts_anew_with_each_message(toy: Toy) -> None:
-    say(toy, "LEV:VAL 1")
-    say(toy, "MODE SLOW")
+    tell(toy, "LEV:VAL 1")
+    tell(toy, "MODE SLOW")
     assert error(toy) == -113
 
 
 def test_a_form_mistake_drops_the_rest_of_the_line_an_execution_error_does_not(toy: Toy) -> None:
-    assert say(toy, "NONSENSE;*IDN?") is None
-    assert say(toy, "FAIL;*IDN?") == "MAKER,TOY,0,1"
+    assert tell(toy, "NONSENSE;*IDN?") is None
+    assert tell(toy, "FAIL;*IDN?") == "MAKER,TOY,0,1"
     assert [error(toy), error(toy), error(toy)] == [-113, -221, 0]
 
 
 def test_empty_messages_and_stray_separators_are_nothing(toy: Toy) -> None:
-    assert say(toy, "") is None
-    assert say(toy, " ; ;") is None
-    assert say(toy, "*CLS;") is None
+    assert tell(toy, "") is None
+    assert tell(toy, " ; ;") is None
+    assert tell(toy, "*CLS;") is None
     assert error(toy) == 0
 
 
 def test_error_queue_is_first_in_first_out_and_twenty_deep(toy: Toy) -> None:
     for _ in range(10):
-        say(toy, "NONSENSE")
-        say(toy, "FAIL")
+        tell(toy, "NONSENSE")
+        tell(toy, "FAIL")
     for _ in range(5):
-        say(toy, "LEV:VAL 1,2")
+        tell(toy, "LEV:VAL 1,2")
     numbers = [error(toy) for _ in range(21)]
     assert numbers[:4] == [-113, -221, -113, -221]
     assert numbers[18:] == [-113, -350, 0]
 
 
 def test_reply_of_the_error_queue_to_the_letter(toy: Toy) -> None:
-    assert say(toy, "SYST:ERR?") == '+0,"No error"'
-    say(toy, "NONSENSE")
-    assert say(toy, "syst:error?") == '-113,"Undefined header"'
+    assert tell(toy, "SYST:ERR?") == '+0,"No error"'
+    tell(toy, "NONSENSE")
+    assert tell(toy, "syst:error?") == '-113,"Undefined header"'
 
 
 def test_cls_empties_queue_and_events_but_keeps_masks(toy: Toy) -> None:
-    say(toy, "*ESE 60;*SRE 32")
-    say(toy, "NONSENSE")
-    say(toy, "*CLS")
-    assert say(toy, "*ESR?;*ESE?;*SRE?;SYST:ERR?") == '+0;+60;+32;+0,"No error"'
+    tell(toy, "*ESE 60;*SRE 32")
+    tell(toy, "NONSENSE")
+    tell(toy, "*CLS")
+    assert tell(toy, "*ESR?;*ESE?;*SRE?;SYST:ERR?") == '+0;+60;+32;+0,"No error"'
 
 
 def test_event_register_has_a_bit_for_each_class_and_is_cleared_by_reading(toy: Toy) -> None:
-    assert say(toy, "*ESR?") == "+128"  # power on
-    say(toy, "NONSENSE")
-    say(toy, "FAIL")
-    say(toy, "*OPC")
-    assert say(toy, "*ESR?") == "+49"
-    assert say(toy, "*ESR?") == "+0"
+    assert tell(toy, "*ESR?") == "+128"  # power on
+    tell(toy, "NONSENSE")
+    tell(toy, "FAIL")
+    tell(toy, "*OPC")
+    assert tell(toy, "*ESR?") == "+49"
+    assert tell(toy, "*ESR?") == "+0"
 
 
 def test_status_byte_sums_up_what_is_enabled(toy: Toy) -> None:
-    say(toy, "*CLS;*ESE 32")
-    say(toy, "NONSENSE")
-    assert say(toy, "*STB?") == "+32"
-    say(toy, "*SRE 32")
-    assert say(toy, "*STB?") == "+96"
+    tell(toy, "*CLS;*ESE 32")
+    tell(toy, "NONSENSE")
+    assert tell(toy, "*STB?") == "+32"
+    tell(toy, "*SRE 32")
+    assert tell(toy, "*STB?") == "+96"
     toy.status.questionable = 1
-    say(toy, "STAT:QUES:ENAB 1")
-    assert say(toy, "*STB?") == "+104"
-    assert say(toy, "STAT:QUES?;:STAT:QUES:EVEN?") == "+1;+0"
-    say(toy, "STAT:PRES")
-    assert say(toy, "STAT:QUES:ENAB?") == "+0"
+    tell(toy, "STAT:QUES:ENAB 1")
+    assert tell(toy, "*STB?") == "+104"
+    assert tell(toy, "STAT:QUES?;:STAT:QUES:EVEN?") == "+1;+0"
+    tell(toy, "STAT:PRES")
+    assert tell(toy, "STAT:QUES:ENAB?") == "+0"
 
 
 def test_power_on_clear_decides_whether_masks_survive(toy: Toy) -> None:
-    say(toy, "*ESE 8;*PSC 0")
+    tell(toy, "*ESE 8;*PSC 0")
     toy.power_cycle()
-    assert say(toy, "*ESE?;*PSC?;*ESR?") == "+8;0;+128"
-    say(toy, "*PSC 1")
+    assert tell(toy, "*ESE?;*PSC?;*ESR?") == "+8;0;+128"
+    tell(toy, "*PSC 1")
     toy.power_cycle()
-    assert say(toy, "*ESE?") == "+0"
+    assert tell(toy, "*ESE?") == "+0"
 
 
 def test_common_queries(toy: Toy) -> None:
-    assert say(toy, "*OPC?") == "1"
-    assert say(toy, "*TST?") == "+0"
-    assert say(toy, "*idn?") == "MAKER,TOY,0,1"
+    assert tell(toy, "*OPC?") == "1"
+    assert tell(toy, "*TST?") == "+0"
+    assert tell(toy, "*idn?") == "MAKER,TOY,0,1"
 
 
 def test_notation_with_unpaired_brackets_is_refused() -> None:

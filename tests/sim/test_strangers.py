@@ -7,21 +7,14 @@ import numpy as np
 import pytest
 import pyvisa
 
-from bench.model import Block, ForwardModel
-from bench.model.geometry import INSTALLATION_1
 from sim.bench import SimulatedBench
-from sim.world.clock import VirtualClock
-from sim.world.world import World, WorldSettings
 from tests.support.patience import PATIENCE_S
-from tests.support.simulated_stand import a_34401a
-
-BLOCK = Block(np.diag([-2.177, -2.142, -2.163]), np.array([0.07, -0.2, -0.41]))
+from tests.support.simulated_stand import a_34401a, a_world
 
 
 @pytest.fixture
 def bench() -> Iterator[SimulatedBench]:
-    world = World(WorldSettings(BLOCK, ForwardModel({"1": INSTALLATION_1}), {}, 5), VirtualClock())
-    with SimulatedBench(world, {"v": a_34401a("x")}) as served:
+    with SimulatedBench(a_world(), {"v": a_34401a("x")}) as served:
         yield served
 
 

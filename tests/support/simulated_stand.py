@@ -13,6 +13,7 @@ from drivers.interfaces import Channel
 from drivers.wire.visa import MessageSession, Wire
 from sim.agilent_34401a import Agilent34401A
 from sim.bench import SimulatedMeter
+from sim.scpi import never
 from sim.wires.server import TcpServer
 from sim.wires.session import Dialect, FaultHook, ServedInstrument, Traffic
 from sim.world.clock import VirtualClock
@@ -24,6 +25,21 @@ BLOCK = Block(np.diag([-2.177, -2.142, -2.163]), np.array([0.07, -0.2, -0.41]))
 def a_world(setting_error_rad: float = 0.0, seed: int = 3) -> World:
     stand = {"setting_error": Distribution(setting_error_rad)} if setting_error_rad else {}
     return World(WorldSettings(BLOCK, ForwardModel({"1": INSTALLATION_1}), stand, seed), VirtualClock())
+
+
+def tell(instrument: Dialect, *messages: str) -> str | None:
+    """Send messages without a wire; return the last reply."""
+    reply = None
+    for message in messages:
+        reply = instrument.handle(message.encode(), never)
+    return None if reply is None else reply.decode()
+
+
+def ask(instrument: Dialect, message: str) -> str:
+    """Send a message that has a reply; return that."""
+    reply = tell(instrument, message)
+    assert reply is not None, f"no reply to {message}: {tell(instrument, 'SYST:ERR?')}"
+    return reply
 
 
 def a_34401a(channel: Channel, **options: object) -> SimulatedMeter:

@@ -7,26 +7,19 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import numpy as np
 import pytest
 
-from bench.model import Block, ForwardModel
+from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1
 from sim.agilent_34401a import Agilent34401A
 from sim.bench import SimulatedBench
 from sim.scpi import never
 from sim.wires.faults import Fault, FaultKind, FaultyInstrument
-from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
 from tests.support.patience import PATIENCE_S
-from tests.support.simulated_stand import a_34401a
+from tests.support.simulated_stand import BLOCK, a_34401a, a_world
 
-BLOCK = Block(np.diag([-2.177, -2.142, -2.163]), np.array([0.07, -0.2, -0.41]))
 IDENTITY = b"HEWLETT-PACKARD,34401A,0,11-5-2\n"
-
-
-def a_world(seed: int = 5) -> World:
-    return World(WorldSettings(BLOCK, ForwardModel({"1": INSTALLATION_1}), {}, seed), VirtualClock())
 
 
 def a_meter(interface: str = "lan") -> Agilent34401A:

@@ -11,12 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 import pyvisa
 
-from bench.model import Block, ForwardModel
-from bench.model.geometry import INSTALLATION_1
 from drivers.clock import SystemClock
 from drivers.instruments.agilent_34401a import Agilent34401A as Driver
 from drivers.interfaces import VoltmeterSettings
@@ -26,18 +23,12 @@ from sim.bench import SimulatedBench
 from sim.wires.server import TERMINALS, TerminalServer
 from sim.wires.session import ServedInstrument
 from sim.world.clock import VirtualClock
-from sim.world.world import World, WorldSettings
 from tests.support.patience import PATIENCE_S
-from tests.support.simulated_stand import a_34401a
+from tests.support.simulated_stand import a_34401a, a_world
 
 pytestmark = pytest.mark.skipif(not TERMINALS, reason="this system has no pseudo-terminals")
 
 IDENTITY = b"HEWLETT-PACKARD,34401A,0,11-5-2"
-BLOCK = Block(np.diag([-2.177, -2.142, -2.163]), np.array([0.07, -0.2, -0.41]))
-
-
-def a_world() -> World:
-    return World(WorldSettings(BLOCK, ForwardModel({"1": INSTALLATION_1}), {}, 5), VirtualClock())
 
 
 class Client:
