@@ -61,6 +61,8 @@ MODULES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("run", "resume", "abort", "control"), "measure"),
     **dict.fromkeys(("chart", "compare", "learn", "stability"), "history"),
     **dict.fromkeys(("confirm", "accept"), "diagnose"),
+    **dict.fromkeys(("runs", "show", "seal", "key", "export", "import"), "records"),
+    "simulate": "instruments",
 }
 """The module of this room that holds a command, where it is not the one of its name."""
 

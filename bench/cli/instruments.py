@@ -1,60 +1,49 @@
-"""instruments: opens everything on a bench at once, shows what it is and reads; lists what interfaces offer."""
+"""instruments, simulate: what is connected to a bench, a first evening with it, and its simulation for others."""
 
 from __future__ import annotations
 
+import contextlib
+import json
+import math
 import os
-from collections.abc import Sequence
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from types import FrameType
+from typing import TYPE_CHECKING, Final
 
-import typer
-
+from bench.base.files import read_regular
 from bench.cli import printing
-from bench.cli.options import BenchOption, JsonOption, WireLogOption, app
+from bench.cli.options import JsonOption, app
+from bench.cli.requested import requested
 from bench.services.errors import Refused
+from bench.services.requests.measuring import InstrumentsRequest, SimulateRequest
 
 if TYPE_CHECKING:
-    from bench.services.instruments import InstrumentLook
+    from bench.config.bench_file.file import BenchFile
+    from bench.run.assembly.served import Serving
+
+_LOOK_S: Final = 0.5
+_CONTROL_TIMEOUT_S: Final = 10.0
 
 
 @app.command(epilog="Example: bench instruments --bench my-bench.yaml")
-def instruments(
-    bench: BenchOption = None,
-    discover: Annotated[
-        bool, typer.Option("--discover", help="List what the interfaces offer; address no instrument.")
-    ] = False,
-    commission: Annotated[
-        bool,
-        typer.Option(
-            "--commission", help="Go through a first evening with the hardware, asked step by step."
-        ),
-    ] = False,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            metavar="DIR",
-            help="With --commission: folder for page and wire log (default: a new one).",
-        ),
-    ] = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="With --commission: the simulated bench and a scripted person.")
-    ] = False,
-    seed: Annotated[int, typer.Option(help="Random numbers of a dry run.", min=0)] = 1,
-    json: JsonOption = None,
-    wire_log: WireLogOption = None,
-) -> int:
+@requested
+def instruments(request: InstrumentsRequest, json: JsonOption = None) -> int:
     """Open every instrument of a bench at once: identity, self-test, a reading, and all that is wrong."""
-    if commission:
-        from bench.cli.commissioning import commission_bench
-
-        if discover or wire_log is not None:
+    if request.commission:
+        if request.discover or request.wire_log is not None:
             raise Refused("--commission goes without --discover and --wire-log: its folder holds a wire log")
-        return commission_bench(_named(bench), out, json, dry_run=dry_run, seed=seed)
-    if dry_run or out is not None:
+        _named(request.bench)
+        return _commission(request, json)
+    if request.dry_run or request.out is not None:
         raise Refused("--dry-run and --out go with --commission")
-    return _offers(json) if discover else look(bench, json, wire_log)
+    return _offers(json) if request.discover else look(request.bench, json, request.wire_log)
 
 
 def _named(bench: str | None) -> str | None:
@@ -72,6 +61,7 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
     Raises `Refused` without a bench file, `FileMistakes`, `OSError` for a wire log that cannot be.
     """
     from bench.config.bench_file.file import load_bench
+    from bench.results.instruments import InstrumentsResult
     from bench.run.listening import Interrupts
     from bench.services.bench_selection import bench_path
     from bench.services.instruments import look_at
@@ -82,46 +72,16 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
     with logged_wire(wire_log) as wire, Interrupts() as interrupts:
         rows = look_at(file, wire, interrupts.haste)
     failures = [failure for row in rows for failure in row.failures]
-    result = {
-        "bench": file.name,
-        "passed": not failures,
-        "instruments": [row.to_json() for row in rows],
-    }
-    printing.write_json([result], target)
+    result = InstrumentsResult(bench=file.name, passed=not failures, instruments=[row.part for row in rows])
+    printing.write_json([result.to_dict()], target)
     if target != "-":
-        _show(rows)
+        result.print_on(printing.console())
         serials = {row.name: row.identity.serial for row in rows if row.identity is not None}
         printing.notes_on(printing.console(), remarks(file, serials))
     printing.aside(*(f"bench: {failure}" for failure in failures))
     if any(row.absent for row in rows):
         return 2
     return 1 if failures else 0
-
-
-def _show(rows: Sequence[InstrumentLook]) -> None:
-    from bench.run.instruments import same_serials
-
-    out = printing.console()
-    table = printing.table()
-    for heading in ("instrument", "address", "identity", "settings", "self-test", "shows"):
-        # An address is copied from the table, so it must not be broken.
-        table.add_column(heading, overflow="fold", no_wrap=heading in {"instrument", "address", "self-test"})
-    for row in rows:
-        identity = "NOT OPENED" if row.identity is None else str(row.identity)
-        shows = "FAILED" if row.failure is not None and row.identity is not None else row.shows
-        table.add_row(
-            row.name,
-            row.address,
-            identity,
-            row.settings,
-            "FAILED" if row.test_failed else row.self_test,
-            shows,
-        )
-    out.print(table)
-    for words in same_serials({row.name: row.identity for row in rows if row.identity is not None}):
-        out.print(f"note: {words}")
-    well = sum(not row.failures for row in rows)
-    out.print(f"{well} of {len(rows)} instruments are well")
 
 
 def _offers(target: str | None) -> int:
@@ -141,3 +101,200 @@ def _offers(target: str | None) -> int:
     out.print(table if table.row_count else "nothing was found")
     printing.notes_on(out, offer.notes)
     return 0
+
+
+def _commission(request: InstrumentsRequest, target: str | None) -> int:
+    """Commission a bench and print what was found: 0 all works, 1 something is otherwise, 2 not done.
+
+    Raises `Refused` without a person or a folder, `FileMistakes`.
+    """
+    from bench.base.text import visible
+    from bench.config.bench_file.file import load_bench
+    from bench.results.instruments import VERDICTS
+    from bench.run.commission.session import WISHES
+    from bench.run.terminal import TerminalPerson
+    from bench.services.bench_selection import bench_path
+    from bench.services.instruments import PAGE, Setting, commission, free_folder
+    from drivers.clock import utc_now
+
+    if not request.dry_run and not sys.stdin.isatty():
+        raise Refused(
+            "commissioning asks a person at every step and moves the head: start it in a terminal, or go "
+            "through it with --dry-run on the simulated bench"
+        )
+    printing.check_target(target)
+    path = bench_path(request.bench)
+    file = load_bench(path)
+    console = printing.console(json=target)
+    folder = request.out or free_folder(utc_now())
+    console.print(
+        f"commissioning of {file.name} ({path}), {'SIMULATED' if request.dry_run else 'on the bench'}; "
+        "type :skip REASON at a question to leave something out, :abort to end; Ctrl-C leaves the bench safe"
+    )
+    person = None if request.dry_run else TerminalPerson(sys.stdin, console, wishes=WISHES)
+    result = commission(
+        Setting(file, path, folder, person, request.seed, lambda line: console.print(visible(line)))
+    )
+    printing.write_json([result], target)
+    for name, what in result["to_do"].items():
+        printing.aside(f"bench: still to do: {name}: {what}")
+    if result["ended"]:
+        printing.aside(f"bench: not gone through to its end: {result['ended']}")
+    console.print(VERDICTS[result["status"]][1])
+    printing.written("page", folder / PAGE, console)
+    return int(result["status"])
+
+
+# --- simulated instruments --------------------------------------------------------------------------
+
+
+@app.command(epilog="Example: bench simulate --bench my-bench.yaml --port 5025 --ready-file ready.json")
+@requested
+def simulate(request: SimulateRequest) -> int:
+    """Serve the simulated instruments of a bench file until Ctrl-C, or command a bench that is served."""
+    if request.control is not None or request.command is not None:
+        return _command(request.control, request.command)
+    return _serve(request)
+
+
+def _serve(request: SimulateRequest) -> int:
+    """Serve until Ctrl-C, SIGTERM or the end of the terminal, then end with 0.
+
+    Raises `Refused` for a speed or port that there is not, `BenchError` for a port that is taken.
+    """
+    from bench.config.bench_file.file import load_bench
+    from bench.run.assembly.served import served_bench
+    from bench.services.bench_selection import bench_path
+    from bench.services.simulated_truth import simulated_truth
+
+    speed, host, port = request.speed, request.host, request.port
+    if not 0.0 < speed < math.inf:
+        raise Refused(f"--speed {speed:g}: a clock runs at a positive speed such as 1 or 60")
+    if port is not None and not 0 <= port <= 65535:
+        raise Refused(f"--port {port}: ports are numbers from 1 to 65535 (0: free ones)")
+    file = load_bench(bench_path(request.bench))
+    with (
+        _ended_by_signal() as ended,
+        _held(host, port),
+        served_bench(
+            file,
+            simulated_truth(file, None if request.model is None else Path(request.model)),
+            request.seed,
+            speed=speed,
+            host=host,
+            first_port=port or 0,
+            with_terminals=not request.no_pty,
+        ) as serving,
+        _announced(serving, request.ready_file),
+    ):
+        _show(file, serving)
+        while not ended.wait(_LOOK_S):  # in slices: on Windows a signal does not end a wait
+            pass
+    return 0
+
+
+def _command(control: str | None, text: str | None) -> int:
+    """Send a command to a bench that is served: print the answer, a line of JSON.
+
+    Raises `Refused` when nobody answers, or the command is refused.
+    """
+    if control is None or text is None:
+        raise Refused("a bench that is served takes: bench simulate --control HOST:PORT 'turn 45 deg'")
+    host, _, port = control.rpartition(":")
+    if not host or not port.isascii() or not port.isdecimal() or int(port) > 65535:
+        raise Refused(f"--control {control}: expected HOST:PORT as 'bench simulate' shows it")
+    line = " ".join(text.split())
+    try:
+        with socket.create_connection((host, int(port)), timeout=_CONTROL_TIMEOUT_S) as connection:
+            connection.sendall(f"{line or 'help'}\n".encode())
+            with connection.makefile("r", encoding="utf-8") as lines:
+                answer = lines.readline()
+        reply = json.loads(answer)
+    except OSError as error:
+        raise Refused(
+            f"no simulated bench answers at {control} ({error.strerror or error}); see its ready file"
+        ) from error
+    except ValueError as error:
+        raise Refused(f"{control} is not the control of a simulated bench") from error
+    if not isinstance(reply, dict) or not reply.get("ok"):
+        raise Refused(str(reply.get("error", answer)) if isinstance(reply, dict) else answer)
+    printing.console().out(answer.strip(), highlight=False)
+    return 0
+
+
+def _show(bench: BenchFile, serving: Serving) -> None:
+    out = printing.console()
+    table = printing.table("instrument", "model", "TCP", "pseudo-terminal", no_wrap=True)
+    for served in serving.instruments:
+        table.add_row(served["name"], served["model"], served["tcp"], served["pty"] or "none")
+    out.print(table)
+    by_hand = [section.name for section in bench.instruments.all() if section.by_hand]
+    if by_hand:
+        out.print(f"{' and '.join(by_hand)}: without a wire of its own, set through the control")
+    out.print(f"control: bench simulate --control {serving.control} 'turn 45 deg' ('help' lists all)")
+    out.print("serving until Ctrl-C")
+
+
+@contextmanager
+def _held(host: str, port: int | None) -> Iterator[None]:
+    """Hold the first of the ports that were chosen: who would serve there as well is told who does."""
+    from bench.base.files import cache_folder
+    from bench.run.assembly.served import HELD
+    from drivers.wire.resources import Holding
+
+    if not port:
+        yield
+        return
+    holding, place = Holding(cache_folder(HELD)), f"{host}:{port}"
+    holding.take("simulation", f"serving {place}", called=place)
+    try:
+        yield
+    finally:
+        holding.release(f"serving {place}")
+
+
+@contextmanager
+def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
+    """Write the ready file, whole from its first moment; take it away again when it is still ours."""
+    from bench.results.instruments import ReadyResult, ServedPart
+
+    if ready_file is None:
+        yield
+        return
+    served = [ServedPart(**dict(one)) for one in serving.instruments]
+    ready = ReadyResult(instruments=served, control=serving.control)
+    text = json.dumps(ready.to_dict(), indent=1) + "\n"
+    ordinary = not ready_file.exists() or ready_file.is_file()
+    try:
+        if ordinary:
+            unready = ready_file.with_name(f".{ready_file.name}.{os.getpid()}")
+            unready.write_text(text, encoding="utf-8")
+            unready.replace(ready_file)
+        else:
+            ready_file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise Refused(f"{ready_file}: cannot be written ({error.strerror}); choose another place") from error
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            if ordinary and read_regular(ready_file).decode() == text:
+                ready_file.unlink()
+
+
+@contextmanager
+def _ended_by_signal() -> Iterator[threading.Event]:
+    """Yield what Ctrl-C, SIGTERM and a closed terminal set in place of ending the program."""
+    from bench.run.listening import SIGNALS
+
+    ended = threading.Event()
+
+    def end(number: int, frame: FrameType | None) -> None:
+        ended.set()
+
+    before = {number: signal.signal(number, end) for number in SIGNALS}
+    try:
+        yield ended
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

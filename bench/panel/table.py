@@ -108,13 +108,13 @@ class RunsTable:
             summary = run_summary(run, self._digests.of)
         finally:
             self._reading.release()
-        state, _, detail = str(summary["state"]).partition(": ")
+        state, _, detail = summary.state.partition(": ")
         row = replace(
             _of_manifest(run),
             state=state,
             detail=detail,
-            verdict=str(summary["verdict"] or ""),
-            to_go_on=str(summary["to_go_on"]),
+            verdict=summary.verdict or "",
+            to_go_on=summary.to_go_on,
         )
         self._kept[run.name] = (stamp, row)
         return row

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, Protocol, runtime_checkable
@@ -15,7 +15,13 @@ from bench.base.files import to_text, write_whole
 from bench.base.numbers import without_infinity
 from bench.config.bench_file.file import BenchFile
 from bench.config.devices.sections import ChamberForm, HeadForm, SupplyForm
-from bench.results.commissioning import render_commissioning
+from bench.results.instruments import (
+    CommissionedPart,
+    CommissionResult,
+    FailurePart,
+    InstrumentPart,
+    render_commissioning,
+)
 from bench.run.assembly.served import dry_evening, real_bench, real_evening
 from bench.run.commission.course import go_through
 from bench.run.commission.session import Ended, Evening, status_of
@@ -112,18 +118,19 @@ class InstrumentLook:
             self.identity is None or isinstance(self.failure, InstrumentLost)
         )
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the row as JSON values; `value` in V by channel or output, rad, or °C."""
-        return {
-            "name": self.name,
-            "address": self.address,
-            "identity": None if self.identity is None else asdict(self.identity),
-            "settings": self.settings,
-            "self_test": self.self_test,
-            "value": self.value,
-            "shows": self.shows,
-            "failures": [{"cause": f.cause, "remedy": f.remedy} for f in self.failures],
-        }
+    @property
+    def part(self) -> InstrumentPart:
+        """The row as the result has it."""
+        return InstrumentPart(
+            name=self.name,
+            address=self.address,
+            identity=self.identity,
+            settings=self.settings,
+            self_test=self.self_test,
+            value=self.value,
+            shows=self.shows,
+            failures=[FailurePart(cause=f.cause, remedy=f.remedy) for f in self.failures],
+        )
 
 
 def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -> list[InstrumentLook]:
@@ -335,27 +342,22 @@ def _result(
     instruments = []
     for section in setting.file.instruments.all():
         identity = evening.identities.get(section.name)
-        instruments.append(
-            {
-                "name": section.name,
-                "address": str(getattr(section, "resource", "by hand")),
-                "identity": None if identity is None else str(identity),
-            }
-        )
-    status = status_of(evening.findings, whole=not ended)
-    result = {
-        "bench": setting.file.name,
-        "bench_file": str(setting.path),
-        "simulated": setting.person is None,
-        "began": began.isoformat(),
-        "took_s": took_s,
-        "status": status,
-        "ended": ended,
-        "instruments": instruments,
-        "findings": [finding.to_json() for finding in evening.findings],
-        "to_do": to_do,
-        "wire_log": WIRE_LOG,
-        "versions": versions(),
-    }
-    checked: dict[str, Any] = without_infinity(result)
+        address = str(getattr(section, "resource", "by hand"))
+        shown = None if identity is None else str(identity)
+        instruments.append(CommissionedPart(name=section.name, address=address, identity=shown))
+    result = CommissionResult(
+        bench=setting.file.name,
+        bench_file=str(setting.path),
+        simulated=setting.person is None,
+        began=began.isoformat(),
+        took_s=took_s,
+        status=status_of(evening.findings, whole=not ended),
+        ended=ended,
+        instruments=instruments,
+        findings=evening.findings,
+        to_do=to_do,
+        wire_log=WIRE_LOG,
+        versions=versions(),
+    )
+    checked: dict[str, Any] = without_infinity(result.to_dict())
     return checked

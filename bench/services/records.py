@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from bench.base.files import read_regular
 from bench.readings.columns import columns_of, ranges_in_words
+from bench.results.records import ProvenRecordPart, RunPart, RunsResult, ShowResult
 from bench.run.events import ENDED, RecordError, RunState
 from bench.run.folder import VERIFY, Digest, Digests, Run, all_runs
 from bench.run.record import is_being_written
@@ -63,39 +64,46 @@ def record_head(run: Run) -> dict[str, str | int]:
     return {"events": len(run.history.events), "head": run.history.head}
 
 
-def run_summaries(runs: Path) -> list[dict[str, object]]:
+def run_summaries(runs: Path) -> RunsResult:
     """Return the list of the runs in a folder, oldest first. Nothing in that folder is opened for writing."""
     digests = Digests(runs)
     found = [run_summary(run, digests.of) for run in all_runs(runs)]
     digests.save()
-    return found
+    return RunsResult(runs=found)
 
 
-def run_summary(run: Run, digest_of: Callable[[Run], Digest] = Digest.of) -> dict[str, object]:
+def run_summary(run: Run, digest_of: Callable[[Run], Digest] = Digest.of) -> RunPart:
     """Return a row of the list; a run that cannot be read is one as well, with the reason."""
     try:
         digest = digest_of(run)
         state, to_go_on = _state_and_next(run, digest)
-        count = int(run.manifest["readings"]) if run.imported else digest.readings
+        return RunPart(
+            name=run.name,
+            created=run.created,
+            instruments="simulated" if run.simulated else ("-" if state == "imported" else "real"),
+            state=state,
+            readings=int(run.manifest["readings"]) if run.imported else digest.readings,
+            verdict=_verdict(run),
+            to_go_on=to_go_on,
+        )
     except (RecordError, ValueError, TypeError, KeyError) as reason:
-        return {
-            "name": run.name,
-            "created": "",
-            "instruments": "-",
-            "state": f"damaged: {reason}",
-            "readings": 0,
-            "verdict": None,
-            "to_go_on": "",
-        }
-    return {
-        "name": run.name,
-        "created": run.created,
-        "instruments": "simulated" if run.simulated else ("-" if state == "imported" else "real"),
-        "state": state,
-        "readings": count,
-        "verdict": _verdict(run),
-        "to_go_on": to_go_on,
-    }
+        damage = f"damaged: {reason}"
+        return RunPart(
+            name=run.name, created="", instruments="-", state=damage, readings=0, verdict=None, to_go_on=""
+        )
+
+
+def show_run(
+    run: Run, head: str | None, key: Path | None, authority: Path | None, *, verify: bool
+) -> ShowResult:
+    """Return what a run holds; with `verify` also what its record proves. Raises as `proof_of`."""
+    problems, told = list(run.history.problems), []
+    if verify and not problems:
+        proof = proof_of(run, head, key, authority)
+        problems, told = list(proof.problems), list(proof.told)
+    summary = run_summary(run).to_dict()
+    record = ProvenRecordPart(**record_head(run), told=told)
+    return ShowResult(**summary, manifest=dict(run.manifest), record=record, problems=problems)
 
 
 def supply_in_words(run: Run) -> str:

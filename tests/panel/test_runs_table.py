@@ -34,7 +34,7 @@ def test_each_run_has_its_state_and_how_to_go_on(runs):
     rows = {row.name: row for row in RunsTable(RunsFolder(runs)).rows()}
     assert (rows["finished"].state, rows["finished"].to_go_on) == ("finished", "bench resume finished")
     (runs / "finished" / "report.html").touch()
-    assert run_summary(Run(runs / "finished"))["to_go_on"] == ""
+    assert run_summary(Run(runs / "finished")).to_go_on == ""
     assert rows["interrupted"].to_go_on == "bench resume interrupted"
     text = Browser(runs, "anna").get("/").text
     assert ">resume</a>" in text

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Final
+from typing import Final
 
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import InstrumentForm
@@ -79,17 +79,6 @@ class Finding:
         """What was found, in one line."""
         remedy = f"; {self.remedy}" if self.remedy else ""
         return f"{self.instrument}: {self.check}: {self.said}{remedy}"
-
-    def to_json(self) -> dict[str, Any]:
-        """Return it as JSON values."""
-        return {
-            "check": self.check,
-            "instrument": self.instrument,
-            "state": self.state.value,
-            "said": self.said,
-            "figures": [asdict(figure) for figure in self.figures],
-            "remedy": self.remedy,
-        }
 
 
 def status_of(findings: Sequence[Finding], *, whole: bool) -> int:

@@ -9,6 +9,10 @@ from typing import Annotated
 from bench.base.requests import Option
 from bench.services.requests.shared import BenchField, RunsField
 
+BenchNameField = Annotated[
+    str | None,
+    Option("Bench file, by path or name (default: BENCH_FILE).", metavar="FILE", completes="bench_files"),
+]
 SeedField = Annotated[int, Option("Random numbers of a dry run.", least=0)]
 ModelField = Annotated[
     str | Path | None,
@@ -122,7 +126,7 @@ class ResumeRequest:
 class InstrumentsRequest:
     """The instruments of a bench, to be looked at or commissioned."""
 
-    bench: BenchField = None
+    bench: BenchNameField = None
     discover: Annotated[
         bool, Option("List what the interfaces offer; address no instrument.", ("--discover",))
     ] = False
@@ -149,7 +153,7 @@ class SimulateRequest:
         Option("With --control: what to do on a bench that is served, such as 'turn 45 deg'.", argument=True),
     ] = None
     _: KW_ONLY
-    bench: BenchField = None
+    bench: BenchNameField = None
     model: ModelField = None
     seed: Annotated[int, Option("Random numbers of the simulated bench.", least=0)] = 1
     speed: Annotated[float, Option("How many times faster than real time it goes.")] = 1.0

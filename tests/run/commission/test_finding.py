@@ -36,4 +36,3 @@ def test_a_figure_is_told_with_its_unit_and_what_it_was_held_against():
 def test_a_finding_is_one_sentence_with_what_to_do():
     finding = Finding("stop", "head", State.OTHER, "went on", remedy="do not use it")
     assert finding.sentence == "head: stop: went on; do not use it"
-    assert finding.to_json()["state"] == "other"

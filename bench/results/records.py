@@ -1,0 +1,288 @@
+"""Results of `bench runs` and `bench show`, and a line of a run's record: as JSON and as text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from pydantic import ConfigDict, Field
+from rich.console import Console
+
+from bench.base.result_model import ResultModel
+from bench.results.parts import RecordPart, UnitPart
+from bench.run.folder import Run
+from bench.run.record import resume_point
+from bench.run.sentences import duration, said, sentence
+
+_NAME: Final = 19
+"""Characters of the column of names, so that a line with everything has 80."""
+_SAID: Final = ("answered", "answer_refused")
+
+
+class RunPart(ResultModel):
+    """A run in the list of runs."""
+
+    name: str
+    created: str = Field(description="civil time")
+    instruments: str = Field(description="simulated or real; - where nobody knows")
+    state: str = Field(
+        description="ready, running, paused, finished, failed, interrupted, aborted or imported; not begun or "
+        "unfinished where nobody carries it out; damaged"
+    )
+    readings: int
+    verdict: str | None = Field(
+        description="passed, conditional pass, conditional fail, failed, inconclusive or not complete: at the "
+        "run's own verification points; null where there is none"
+    )
+    to_go_on: str = Field(description="the command that resumes it, empty where there is nothing to do")
+
+
+class RunsResult(ResultModel):
+    """The runs of a folder."""
+
+    runs: list[RunPart]
+
+    def print_on(self, folder: Path, out: Console) -> None:
+        """Print the list, a line of 80 characters for each run and its next command."""
+        if not self.runs:
+            out.print(f"{folder}: no runs there")
+            return
+        out.print(_line("run", ("begun", "instruments", "state", "readings", "verdict")), style="bold")
+        for run in self.runs:
+            begun = run.created[:16].replace("T", " ")
+            state, _, damage = run.state.partition(": ")
+            out.print(
+                _line(run.name, (begun, run.instruments, state, run.readings, (run.verdict or "-").upper()))
+            )
+            for further in filter(None, (damage, run.to_go_on)):
+                out.print(f"    {further}")
+
+
+def _line(name: str, facts: Sequence[object]) -> str:
+    """Return a line of 80 characters; a name that is too long for its column has a line of its own."""
+    begun, instruments, state, readings, verdict = facts
+    shown = f"{begun!s:16}  {instruments!s:11}  {state!s:10}  {readings!s:>8}  {verdict}"
+    separate = "\n" if len(name) > _NAME else ""
+    return f"{name}{separate}{'':{_NAME if separate else max(_NAME - len(name), 0)}} {shown}"
+
+
+class ManifestPart(ResultModel):
+    """`run.json`: what the run was made of."""
+
+    format: int = Field(description="of the record")
+    name: str
+    created: str
+    imported: str = Field("", description="the readings file that was imported")
+    imported_from: str = Field("", description="the same, in older records")
+    readings: int = Field(0, description="how many were imported")
+    dry_run: bool = False
+    seed: int | None = None
+    living: bool = Field(False, description="a dry run whose questions a person answers")
+    operator: str = ""
+    procedure: str = ""
+    bench: str = ""
+    bench_why: str = Field("", description="why that one")
+    plan_hash: str = ""
+    unit_under_test: UnitPart | None = Field(None, description="the block")
+    versions: dict[str, str] = Field(description="of the programs")
+    devices: dict[str, str] = Field({}, description="where drivers came from that are not the bench's own")
+    default_rule: dict[str, Any] = Field({}, description="the decision rule where nobody states one")
+    verdict: dict[str, Any] = Field({}, description="how the run is judged in place of the bench file's rule")
+    until: list[str] = Field([], description="the goals at which the run ends")
+    check_block: dict[str, Any] = Field({}, description="what the check block said as the run began")
+    files: dict[str, str] = Field(description="SHA-256 of each file that was copied in")
+
+
+class ProvenRecordPart(RecordPart):
+    """By what the record can be known again."""
+
+    told: list[str] = Field(description="what supports the record, and what not; by --verify")
+
+
+class ShowResult(RunPart):
+    """A run: what it was made of, what became of it."""
+
+    manifest: ManifestPart | dict[str, Any] = Field(description="`run.json` as it is on the disk")
+    record: ProvenRecordPart
+    problems: list[str] = Field(description="what is wrong with the record; asked for by --verify")
+
+    def print_on(self, run: Run, supply: str, out: Console, *, verified: bool) -> None:
+        """Print the manifest and the events, or what the record proves."""
+        summary = {name: getattr(self, name) for name in RunPart.model_fields}
+        for name, value in {**summary, **run.manifest}.items():
+            if value not in ("", None):
+                out.print(f"{name.replace('_', ' ')}: {_text(value)}")
+        if supply:
+            out.print(f"supply of the block: {supply}")
+        if verified:
+            self._print_proof(run, out)
+        else:
+            _print_events(run, out)
+
+    def _print_proof(self, run: Run, out: Console) -> None:
+        """Print what the record proves, and what not."""
+        wrong = run.history.problems
+        found = "; ".join(wrong) if wrong else "chain of hashes whole"
+        out.print(f"record: {len(run.history.events)} events, {found}")
+        if run.history.torn:
+            out.print("record: the last line is half written; 'bench resume' drops it")
+        for line in self.record.told:
+            out.print(line)
+        for problem in self.problems if not wrong else ():
+            out.print(problem, style="bold")
+
+
+def _text(value: object) -> str:
+    """Return a value of the manifest as text; what it holds by name as a list."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {part}" for name, part in value.items())
+    return str(value)
+
+
+def _print_events(run: Run, out: Console) -> None:
+    if run.imported:
+        return
+    steps = run.plan.steps
+    for event in run.history.events:
+        if event.type == "step_started":
+            continue
+        text = event.type
+        if "step" in event.data and event.type == "step_done":
+            text = steps[int(event.data["step"])].describe()
+        reading = event.data.get("reading")
+        if reading:
+            text += "  " + "  ".join(f"{value:+.6f} {reading['unit']}" for value in reading["mean"])
+        if event.type in _SAID:
+            text = said(event)
+        elif event.type == "chosen":
+            text = sentence(event)
+        for told in ("error", "reason", *(("text",) if event.type == "asked" else ())):
+            if event.data.get(told):
+                text += f": {event.data[told]}"
+        if event.data.get("by") and event.type not in _SAID:
+            text += f" ({event.data['by']}, {event.data.get('role')}, {event.data.get('where')})"
+        out.print(f"{event.number:5d}  {duration(event.bench_s):>11}  {text}")
+    point = resume_point(run.plan, run.history)
+    if point.step < len(steps):
+        out.print(f"next: step {point.step + 1}, {steps[point.step].describe()}")
+
+
+# --- a line of the record ---------------------------------------------------------------------------
+
+Three = Field(min_length=3, max_length=3)
+
+
+class OutlierPart(ResultModel):
+    """The sample that an outlier test names."""
+
+    sample: int = Field(description="from 1")
+    value: float
+    sigma: float = Field(description="its distance from the mean in standard deviations")
+    critical: float = Field(description="the critical one")
+
+
+class RailPart(ResultModel):
+    """What the supply measured at a rail of the block."""
+
+    voltage_v: float
+    nominal_v: float
+    current_a: float
+
+
+class ReadingPart(ResultModel):
+    """What a step that reads has measured."""
+
+    installation: str
+    series: int
+    pass_: int = Field(alias="pass")
+    point: int
+    target_deg: float | None
+    angle_deg: float | None
+    direction: Literal[-1, 0, 1]
+    time_s: float
+    temperature_c: float | None
+    temperature_source: str = Field("", description="the sensor, where a thermometer is at the block")
+    chamber_c: float | None = Field(None, description="the air of the chamber, where the block is measured")
+    unit: str
+    mean: list[float] = Three
+    sd: list[float | None] = Three
+    samples_taken: int
+    samples: dict[str, list[float]] = Field(description="each sample by channel")
+    drift: list[float | None] = Three
+    drift_p: list[float | None] = Three
+    outlier: list[OutlierPart | None]
+    reference_v: float | None
+    scan_order: str | None
+    rails: dict[str, RailPart] = Field(
+        {}, description="by name, where the bench file says how the block is fed"
+    )
+
+
+class NowPart(ResultModel):
+    """The goal that is furthest from reached."""
+
+    model_config = ConfigDict(extra="allow")
+
+    goal: str = ""
+    u: float = 0.0
+    asked: float | None = None
+    unit: str = ""
+
+
+class EventLine(ResultModel):
+    """One event of a run's record, a line of events.jsonl; `prev` makes a chain of them.
+
+    What a step brought has further members by its kind, such as `angle_deg` of a turn.
+    """
+
+    model_config = ConfigDict(extra="allow")
+
+    n: int = Field(description="number, from 1")
+    time: str = Field(description="civil time")
+    bench_s: float = Field(description="bench time since the run began, s; the virtual clock's in a dry run")
+    type: str = Field(description="run_started, step_started, step_done, asked, answered, …")
+    prev: str = Field(description="SHA-256 of the line before; of run.json for the first")
+    step: int = Field(0, description="number in the plan, from 0")
+    key: str = Field("", description="of the step; the random numbers of a dry run depend on it")
+    attempt: int = 1
+    reading: ReadingPart | None = None
+    instruments: dict[str, str] = Field({}, description="identities, in run_started")
+    serials: dict[str, str] = Field(
+        {},
+        description="the serial numbers that the instruments stated, in run_started of a real run, and of a "
+        "dry one where the bench file has certificates",
+    )
+    id: str = Field("", description="of a question, in asked; of the one that is answered, in answered")
+    kind: Literal["confirm", "choose", "number", "angle"] = Field(
+        "confirm", description="what sort of answer a question wants, in asked"
+    )
+    text: str = Field("", description="the question, in asked")
+    default: str | None = Field(None, description="what an empty answer means, in asked")
+    unit: str = Field("", description="of the answer, in asked")
+    choices: list[str] = Field(
+        [], description="the answers to choose from, in asked; REASON at the end of one stands for own words"
+    )
+    minimum: float | None = Field(None, description="of the answer, in asked")
+    maximum: float | None = Field(None, description="of the answer, in asked")
+    action: dict[str, Any] = Field({}, description="what is to be done, in asked: do, and what belongs to it")
+    picture: str = Field("", description="a drawing in characters, in asked")
+    answer: str = Field("", description="as it counts, in answered; as it was given, in answer_refused")
+    line: int = Field(1, description="of answers.jsonl, from 1, where the answer was left there")
+    why: str = Field("", description="in answer_refused and wish_refused")
+    by: str = Field("", description="who answered or wished something, where that is known")
+    role: str = Field("", description="operator or supervisor; viewer, who may stop a run")
+    where: str = Field("", description="terminal, panel, or command (bench control)")
+    visit: int = Field(0, description="in chosen: the number of the mounting, from 0")
+    settings: int = Field(0, description="in chosen: the points measured so far")
+    repeats: int = Field(0, description="in chosen: how many of them repeat one")
+    now: NowPart | None = Field(None, description="in chosen; null before the coefficients are determined")
+    stop: str = Field("", description="in chosen: reached, used up or time; empty where the run goes on")
+    left_out: list[list[int]] = Field([], description="in chosen: steps not needed, ranges of first and last")
+    taken_up: list[list[int]] = Field([], description="in chosen: steps left out before, needed after all")
+    next: dict[str, Any] = Field({}, description="in chosen: the next points, what they take and bring")
+    in_all: dict[str, Any] = Field({}, description="in chosen: what is expected until the end")
+    undecided: dict[str, Any] = Field({}, description="in chosen: the steps of later choices, and their time")
+    not_needed: int = Field(
+        0, description="in chosen at the end: points of the procedure that were not measured"
+    )
