@@ -7,13 +7,18 @@ from collections.abc import Sequence
 
 import pytest
 
-from drivers.instruments.manual import ManualChamber, ManualHead
+from drivers.instruments.manual import ManualChamber, ManualHead, ManualLevel
+from drivers.instruments.manual_supply import ManualSupply
 from drivers.interfaces import (
     BadReading,
     DividingHead,
     InstrumentRefused,
     LimitExceeded,
     NoAnswer,
+    OutputLimits,
+    OutputSettings,
+    SetOtherwise,
+    SupplyLimits,
     ThermalChamber,
 )
 from drivers.person import Answer, Prompt, PromptKind
@@ -227,3 +232,172 @@ def test_chamber_is_a_thermal_chamber() -> None:
     assert c.asks_person
     assert str(c.open()) == "manual thermal chamber"
     c.close()
+
+
+# --- manual level -----------------------------------------------------------------------------------
+# A bubble level read by a person: divisions or arcseconds, and what is asked again.
+
+ARCSEC = math.pi / 648000.0
+
+
+class Answers:
+    def __init__(self, *texts):
+        self.texts, self.prompts = list(texts), []
+
+    def ask(self, prompt):
+        self.prompts.append(prompt)
+        return Answer(prompt.id, self.texts.pop(0))
+
+
+def level(person, **changes):
+    options = {"division_rad": 4 * ARCSEC, "reading_divisions": 0.2, "most_divisions": 10.0, "scale": 0.05}
+    return ManualLevel("level", person, **options | {"turn_rad": 0.02} | changes)
+
+
+def test_divisions_are_counted_as_angles():
+    person = Answers("-1.5", "2")
+    found = level(person).inclination("3/level", turned=False)
+    assert (found.along_rad, found.across_rad) == pytest.approx((-6 * ARCSEC, 8 * ARCSEC))
+    along, across = person.prompts
+    assert "away from you" in along.text
+    assert "to your right" in across.text
+    assert along.action == {
+        "do": "read_level", "axis": "along", "turned": False, "division_rad": 4 * ARCSEC,
+        "most_divisions": 10.0,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("typed", ["7 arcsec", "7″", '7"', "+7.0 ARCSEC"])
+def test_arcseconds_may_be_typed(typed):
+    found = level(Answers(typed, "0")).inclination("3/level", turned=True)
+    assert found.along_rad == pytest.approx(7 * ARCSEC)
+
+
+def test_what_is_off_the_vial_or_no_number_is_asked_again():
+    person = Answers("in the middle", "12", "1,5", "0")
+    assert level(person).inclination("3/level", turned=True).along_rad == pytest.approx(6 * ARCSEC)
+    assert "not a number of divisions" in person.prompts[1].text
+    assert "off the vial's scale of ±10 divisions" in person.prompts[2].text
+    assert len({prompt.id for prompt in person.prompts}) == 4
+
+
+def test_a_bubble_that_never_comes_onto_the_scale_is_no_reading():
+    with pytest.raises(BadReading, match="level the platform roughly"):
+        level(Answers(*["99"] * 5)).inclination("3/level", turned=False)
+
+
+def test_its_sizes_are_stated():
+    sizes = level(Answers()).sizes
+    assert sizes.reading_rad == pytest.approx(0.8 * ARCSEC)
+    assert (sizes.scale, sizes.cross) == (0.05, 0.02)
+
+
+# --- manual supply ----------------------------------------------------------------------------------
+# A supply that a person works: asked in order, what is read held against what was demanded.
+
+PLUS = OutputLimits((0.0, 30.0), (0.0, 3.0), 0.01, 0.001, (0.0, 33.0))
+WANTED = {"+": OutputSettings(15.0, 0.2, 17.0)}
+
+
+class Hand:
+    """A person whose supply is a mapping; `says` are answers in place of what it shows."""
+
+    def __init__(self, **says: list[str]) -> None:
+        self.shows = {
+            "switch": "off", "set_voltage": "0.00", "current_limit": "0.000", "voltage": "0.00", "current": "0.000",
+        }  # fmt: skip
+        self.says = says
+        self.asked: list[str] = []
+        self.careless = False
+
+    def ask(self, prompt):
+        action = prompt.action
+        self.asked.append(action["do"] + ":" + str(action.get("what", "")))
+        if action["do"] == "set_supply" and not self.careless:
+            volts, amperes, _ = action["outputs"]["+"]
+            self.shows |= {"set_voltage": f"{volts:.2f}", "current_limit": f"{amperes:.3f}"}
+        elif action["do"] == "switch_supply":
+            on = action["on"]
+            self.shows |= {
+                "switch": "on" if on else "off",
+                "voltage": self.shows["set_voltage"] if on else "0.0",
+            }
+        elif action["do"] == "read_supply":
+            said = self.says.get(action["what"])
+            return Answer(prompt.id, said.pop(0) if said else self.shows[action["what"]])
+        return Answer(prompt.id, "")
+
+
+def supply(hand: Hand) -> ManualSupply:
+    return ManualSupply("power_supply", hand, limits=SupplyLimits({"+": PLUS}), tolerance_v=0.1)
+
+
+def test_it_is_set_read_back_switched_and_read():
+    hand = Hand()
+    driver = supply(hand)
+    driver.set_up(WANTED, "1/supply")
+    assert hand.asked == [
+        "read_supply:switch", "set_supply:", "read_supply:set_voltage", "read_supply:current_limit",
+    ]  # fmt: skip
+    driver.switch("+", True, "2/on")
+    hand.shows["current"] = "0.061"
+    state = driver.state("3")["+"]
+    assert (state.on, state.voltage_v, state.current_a, state.limiting, state.tripped) == (
+        True,
+        15.0,
+        0.061,
+        False,
+        False,
+    )
+    hand.shows |= {"current": "0.200", "voltage": "9,1"}
+    assert driver.state("4")["+"].limiting
+    hand.shows |= {"current": "0.0", "voltage": "0.01"}
+    assert driver.state("5")["+"].tripped
+    assert driver.switch_all_off() == "switch its output + off by hand"
+
+
+def test_what_was_set_otherwise_is_asked_again_and_then_refused():
+    hand = Hand(set_voltage=["1.50"])
+    driver = supply(hand)
+    driver.set_up(WANTED, "1/supply")
+    assert hand.asked.count("set_supply:") == 2
+    hand = Hand()
+    hand.careless = True
+    with pytest.raises(InstrumentRefused, match="the voltage is 0 V, not 15 V"):
+        supply(hand).set_up(WANTED, "1/supply")
+
+
+def test_one_found_on_is_read_and_left():
+    hand = Hand()
+    hand.shows |= {"switch": "on", "set_voltage": "15.00", "current_limit": "0.2"}
+    driver = supply(hand)
+    driver.set_up(WANTED, "1/supply")
+    assert "set_supply:" not in hand.asked
+    hand.shows["set_voltage"] = "12"
+    with pytest.raises(SetOtherwise, match="12 V, not 15 V"):
+        driver.set_up(WANTED, "2/supply")
+
+
+def test_limits_come_before_the_person():
+    hand = Hand()
+    with pytest.raises(LimitExceeded, match="0 to 30 V"):
+        supply(hand).set_up({"+": OutputSettings(31.0, 0.2)}, "1/supply")
+    assert hand.asked == []
+
+
+def test_another_voltage_after_switching_on_is_refused():
+    hand = Hand(voltage=["9.3"])
+    driver = supply(hand)
+    driver.set_up(WANTED, "1/supply")
+    with pytest.raises(InstrumentRefused, match=r"gives 9\.3 V, not 15 V"):
+        driver.switch("+", True, "2/on")
+
+
+def test_what_is_no_number_is_asked_again():
+    hand = Hand(voltage=["fifteen", "15.02 V"])
+    driver = supply(hand)
+    driver.set_up(WANTED, "1/supply")
+    driver.switch("+", True, "2/on")
+    hand.says = {"voltage": ["?"] * 5}
+    with pytest.raises(BadReading, match="5 attempts"):
+        driver.state("3")

@@ -5,10 +5,16 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
+from unittest.mock import create_autospec
 
 import pytest
+from pyvisa.constants import StatusCode
+from pyvisa.errors import VisaIOError
+from pyvisa.resources import TCPIPInstrument, TCPIPSocket
 
 from drivers.interfaces import InstrumentRefused
+from drivers.wire.pyvisa_connection import Connection, probable_cause
 from drivers.wire.resources import Holding, normalised
 from tests.support.patience import PATIENCE_S
 
@@ -103,3 +109,37 @@ def test_one_program_holds_what_it_opens_twice_until_it_has_let_go_twice(tmp_pat
 def test_a_folder_that_cannot_be_written_keeps_nobody_from_the_bench(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     Holding(tmp_path / "file" / "held").take("voltmeter.x", METER)
+
+
+# --- own lock ---------------------------------------------------------------------------------------
+# An instrument's own lock, where its interface has one; no such instrument is simulated.
+
+
+def connection(kind: type[Any], answer: BaseException | None = None) -> Connection:
+    made = Connection.__new__(Connection)
+    made._visa = create_autospec(kind, instance=True)
+    made._visa.lock_excl.side_effect = answer
+    return made
+
+
+def test_a_lan_instrument_is_locked_within_the_timeout() -> None:
+    made = connection(TCPIPInstrument)
+    made.take_own_lock(1.5)
+    made._visa.lock_excl.assert_called_once_with(timeout=1500.0)  # type: ignore[attr-defined]
+
+
+def test_one_that_somebody_else_has_locked_is_refused_with_the_cause() -> None:
+    with pytest.raises(VisaIOError) as locked:
+        connection(TCPIPInstrument, VisaIOError(StatusCode.error_resource_locked)).take_own_lock(1.0)
+    assert probable_cause(locked.value)[0] == "is locked by another program or computer"
+
+
+@pytest.mark.parametrize("answer", [VisaIOError(StatusCode.error_nonsupported_operation), KeyError(8)])
+def test_one_that_cannot_be_locked_is_opened_all_the_same(answer: Exception) -> None:
+    connection(TCPIPInstrument, answer).take_own_lock(1.0)
+
+
+def test_a_plain_socket_has_no_lock() -> None:
+    made = connection(TCPIPSocket)
+    made.take_own_lock(1.0)
+    made._visa.lock_excl.assert_not_called()  # type: ignore[attr-defined]

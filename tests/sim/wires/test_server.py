@@ -1,5 +1,7 @@
 """The simulated bench over real sockets: framing, several clients, faults, shared virtual time."""
 
+import os
+import select
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -11,10 +13,14 @@ import pyvisa
 
 from bench.model import Block, Conditions, Distribution, ForwardModel, stand_errors
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
-from sim.bench import SimulatedBench
-from sim.wires.server import TcpServer
-from sim.wires.session import DROP, REFUSE, SILENCE, Framer, Overflow, WireFault
-from sim.world.clock import VirtualClock
+from drivers.wire.visa import MessageSession
+from sim import voltmeters as line
+from sim.bench import SimulatedBench, SimulatedMeter
+from sim.keithley_2000 import Keithley2000
+from sim.wires.faults import Fault, FaultKind
+from sim.wires.server import TERMINALS, TcpServer
+from sim.wires.session import DROP, REFUSE, SILENCE, Framer, LineEnds, Overflow, WireFault
+from sim.world.clock import ScaledClock, VirtualClock
 from sim.world.world import World, WorldSettings
 from tests.support.patience import PATIENCE_S
 from tests.support.simulated_stand import a_34401a
@@ -303,3 +309,220 @@ def test_pyvisa_py_client() -> None:
         assert values == pytest.approx([bench.world.signal_v("y")] * 4, abs=1e-8)
         assert resource.query("SYST:ERR?") == '+0,"No error"'
         resource.close()
+
+
+# --- leaving ----------------------------------------------------------------------------------------
+# A client that asks a meter for hours of samples and leaves does not hold up the others.
+
+HOURS = b"CONF:VOLT:DC 10\nVOLT:DC:NPLC 100\nTRIG:DEL 60\nSAMP:COUN 500\n*IDN?\n"
+"""As many as the memory takes. Answered, so that what another client sets next comes after it."""
+
+
+@pytest.fixture
+def ports(monkeypatch: pytest.MonkeyPatch):
+    """The ports of meters on real time, which are told at once of a client that has left."""
+    monkeypatch.setattr("sim.wires.session.LEAVING_S", 0.0)
+    model = ForwardModel({"1": INSTALLATION_1})
+    world = World(WorldSettings(BLOCK, model, {}, 5), ScaledClock())
+    meters = {"34401A": a_34401a("x", noise=False), "2000": SimulatedMeter(Keithley2000, "x")}
+    with SimulatedBench(world, meters) as bench:
+        yield {model: server.port for model, server in bench.servers.items()}
+
+
+@pytest.fixture
+def port(ports):
+    return ports["34401A"]
+
+
+@pytest.fixture
+def waited_for(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Is set as soon as a message waits for a measurement."""
+    waits, wait_until = threading.Event(), line.wait_until
+
+    def seen(*given):
+        waits.set()
+        return wait_until(*given)
+
+    monkeypatch.setattr(line, "wait_until", seen)
+    return waits
+
+
+@pytest.fixture
+def begun(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Is set as soon as a measurement is under way."""
+    begins, measures_until = threading.Event(), line.MeasuringCycle._measures_until
+
+    def seen(*given):
+        measures_until(*given)
+        begins.set()
+
+    monkeypatch.setattr(line.MeasuringCycle, "_measures_until", seen)
+    return begins
+
+
+@pytest.mark.parametrize("command", [b"READ?\n", b"INIT\n", b"INIT\nFETC?\n", b"READ?\nREAD?\nREAD?\n"])
+def test_the_next_client_is_served_when_one_that_wanted_hours_has_left(port, command):
+    with Client(port) as impatient:
+        assert impatient.ask(HOURS) == IDENTITY
+        impatient.write(command)
+    with Client(port) as other:
+        assert other.ask(b"*IDN?\n") == IDENTITY
+        other.write(b"*CLS\nCONF:VOLT:DC 10\nVOLT:DC:NPLC 0.02\n")
+        assert len(other.ask(b"READ?\n")) > 10
+
+
+@pytest.mark.parametrize("last_words", [b"", b"FETC?\n", b"*CLS\nREAD?\n"])
+def test_one_that_waits_already_is_served_when_who_wanted_hours_leaves(port, begun, waited_for, last_words):
+    with Client(port) as impatient, Client(port) as other:
+        assert impatient.ask(HOURS) == IDENTITY
+        impatient.write(b"INIT\n")
+        assert begun.wait(PATIENCE_S)
+        other.write(b"*IDN?\n")
+        assert waited_for.wait(PATIENCE_S)
+        impatient.write(last_words)
+        impatient.file.close()
+        impatient.socket.close()
+        assert other.file.readline() == IDENTITY
+
+
+def test_one_that_waits_for_a_2000_is_served_as_well(ports, begun, waited_for):
+    with Client(ports["2000"]) as impatient, Client(ports["2000"]) as other:
+        impatient.write(b":INIT:CONT OFF\n:VOLT:DC:NPLC 10\n:SAMP:COUN 1024\n:TRIG:COUN 20\n:INIT\n")
+        assert begun.wait(PATIENCE_S)
+        other.write(b"*OPC?\n")
+        assert waited_for.wait(PATIENCE_S)
+        impatient.file.close()
+        impatient.socket.close()
+        assert other.file.readline() == b"1\n"
+
+
+def test_one_that_has_left_does_not_take_what_another_began_after_it(port, waited_for):
+    with Client(port) as impatient, Client(port) as other:
+        assert impatient.ask(b"CONF:VOLT:DC 10\nVOLT:DC:NPLC 0.02\n*IDN?\n") == IDENTITY
+        impatient.write(b"INIT\n")
+        assert impatient.ask(b"*IDN?\n") == IDENTITY
+        waited_for.clear()
+        other.write(b"VOLT:DC:NPLC 10\nREAD?\n")
+        assert waited_for.wait(PATIENCE_S)
+        impatient.file.close()
+        impatient.socket.close()
+        assert len(other.file.readline()) > 10
+
+
+def test_one_that_has_left_long_ago_leaves_another_s_measurement_alone(port):
+    with Client(port) as first, Client(port) as second:
+        assert second.ask(b"*IDN?\n") == IDENTITY
+        first.write(b"CONF:VOLT:DC 10\nVOLT:DC:NPLC 10\n")
+        assert first.ask(b"*IDN?\n") == IDENTITY
+        first.write(b"INIT\n")
+        second.file.close()
+        second.socket.close()
+        assert float(first.ask(b"FETC?\n")) != 0.0
+
+
+def test_one_that_only_sends_no_more_still_has_its_reply(port, monkeypatch):
+    monkeypatch.setattr("sim.wires.session.LEAVING_S", 60.0)
+    with Client(port) as client:
+        client.write(b"CONF:VOLT:DC 10\nVOLT:DC:NPLC 1\nREAD?\n")
+        client.socket.shutdown(socket.SHUT_WR)
+        assert len(client.file.readline()) > 10
+
+
+# --- line ends --------------------------------------------------------------------------------------
+# Simulated instruments whose lines end otherwise than in LF, over TCP and over a pseudo-terminal.
+
+WIRES = ["tcp", pytest.param("pty", marks=pytest.mark.skipif(not TERMINALS, reason="no pseudo-terminals"))]
+PLAIN_BLOCK = Block(np.diag([-2.177, -2.142, -2.163]), np.zeros(3))
+
+
+class Counter:
+    """Answers Q with how many messages came, and with what the last one was."""
+
+    def __init__(self, ends: LineEnds) -> None:
+        self.line_ends = ends
+        self._taken: list[bytes] = []
+
+    def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
+        if message == b"Q":
+            return b"%d %s" % (len(self._taken), self._taken[-1] if self._taken else b"-")
+        self._taken.append(message)
+        return None
+
+    def device_clear(self) -> None:
+        self._taken.clear()
+
+    def input_overflow(self) -> None:
+        pass
+
+
+@contextmanager
+def served(ends: LineEnds) -> Iterator[SimulatedBench]:
+    world = World(WorldSettings(PLAIN_BLOCK, ForwardModel({"1": INSTALLATION_1}), {}, 5), VirtualClock())
+    with SimulatedBench(world, {"c": Counter(ends)}, with_terminals=TERMINALS) as bench:
+        yield bench
+
+
+@contextmanager
+def wired(bench: SimulatedBench, wire: str) -> Iterator[int]:
+    """Open one of the instrument's wires; yield its descriptor."""
+    if wire == "tcp":
+        with socket.create_connection(("127.0.0.1", bench.servers["c"].port)) as connection:
+            yield connection.fileno()
+        return
+    descriptor = os.open(bench.terminals["c"].path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def ask(descriptor: int, message: bytes, reply: bytes) -> bytes:
+    """Send bytes; return as many as the reply has."""
+    os.write(descriptor, message)
+    data = b""
+    while len(data) < len(reply) and select.select([descriptor], [], [], 5.0)[0]:
+        data += os.read(descriptor, len(reply) - len(data))
+    return data
+
+
+@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize(
+    ("ends", "sent", "reply"),
+    [
+        (LineEnds((b"\r",), b"\r"), b"A\rB\nC\rQ\r", b"2 B\nC\r"),
+        (LineEnds((b"\r",), b"\r"), b"Q\rQ\r", b"0 -\r0 -\r"),
+        (LineEnds((b"\r", b"\r\n", b"\n"), b"\r"), b"A\r\nB\rC\nQ\r", b"3 C\r"),
+        (LineEnds((b";",), b"\r\n>"), b"A\r;Q;", b"1 A\r\r\n>"),
+    ],
+)
+def test_lines_end_as_the_instrument_says_on_every_wire(ends, sent, reply, wire) -> None:
+    with served(ends) as bench, wired(bench, wire) as descriptor:
+        assert ask(descriptor, sent, reply) == reply
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_what_an_instrument_leaves_open_is_as_the_wire_has_it(wire) -> None:
+    reply = {"tcp": b"1 A\n", "pty": b"1 A\r\n"}[wire]
+    with served(LineEnds()) as bench, wired(bench, wire) as descriptor:
+        assert ask(descriptor, b"A\r\nQ\n", reply) == reply
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_a_driver_speaks_with_an_instrument_that_ends_in_cr_alone(wire) -> None:
+    with served(LineEnds((b"\r",), b"\r")) as bench:
+        resource = (bench.servers if wire == "tcp" else bench.terminals)["c"].resource
+        session = MessageSession("c", resource, read_termination="\r", write_termination="\r")
+        session.open()
+        session.write("A")
+        assert session.query("Q") == "1 A"
+        bench.arm(Fault(FaultKind.GARBLE, at=1, instrument="c"))
+        assert session.query("Q") == "Q@A"
+        session.close()
+
+
+def test_a_message_that_comes_in_parts_ends_at_the_longest_end_there_is() -> None:
+    framer = Framer((b"\r\n", b"\r"))
+    framer.feed(b"A")
+    assert framer.take() is None
+    framer.feed(b"B\r\nC\r")
+    assert [framer.take(), framer.take(), framer.take()] == [b"AB", b"C", None]

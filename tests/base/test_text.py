@@ -1,16 +1,20 @@
 """Text from outside does not act where it leaves; files that are none are not waited for."""
 
+from __future__ import annotations
+
 import io
 import json
 import os
 import socket
+import stat
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.text import Text
 
-from bench.base.files import from_text, read_given, read_regular, to_text
+from bench.base.files import from_text, read_given, read_json, read_regular, to_text, write_whole
 from bench.base.tables import Screen, as_html, table
 from bench.base.text import in_json, visible
 
@@ -133,3 +137,82 @@ def test_what_a_person_names_is_a_file_and_no_folder_or_device(tmp_path):
         read_given(Path("/dev/zero"))
     with pytest.raises(FileNotFoundError):
         read_given(tmp_path / "a\0b")
+
+
+# --- json text --------------------------------------------------------------------------------------
+# JSON read by the faster parser is what the standard library reads.
+
+
+def test_numbers_are_the_same_to_the_last_bit():
+    """Any bit pattern that is a finite number, seed 5, and numbers that are hard to round."""
+    patterns = np.random.default_rng(5).integers(0, 2**63, 20_000, dtype=np.uint64).view(np.float64)
+    hard = [5e-324, 2.2250738585072011e-308, 9007199254740993.0, -0.0, 1.7976931348623157e308, 0.1]
+    numbers = [*patterns[np.isfinite(patterns)].tolist(), *hard]
+    found = read_json(json.dumps(numbers).encode())
+    assert np.array(found).tobytes() == np.array(numbers).tobytes()
+
+
+@pytest.mark.parametrize(
+    "text",
+    ['"\\ud800"', '{"a": 1, "a": 2}', "123456789012345678901234567890", "-0", "1e400", '"\\u0000"', " [1]\n"],
+)
+def test_what_the_standard_library_takes_is_taken(text):
+    assert read_json(text.encode()) == json.loads(text)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"NaN", b"[Infinity]", b"{", b"", b'"\xff"', b"\xef\xbb\xbf1", b"[1,]", b"'a'", b"01", b'"\t"'],
+)
+def test_what_is_no_json_is_refused(content):
+    with pytest.raises(ValueError):  # noqa: PT011 - every kind of it is one
+        read_json(content)
+
+
+# --- whole ------------------------------------------------------------------------------------------
+# A file is there whole or not at all; what is no file stays what it is.
+
+
+def test_a_device_or_pipe_is_written_to_and_never_replaced(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    end = os.open(pipe, os.O_RDWR)  # both ends, so that nobody waits for the other
+    try:
+        write_whole(pipe, "result\n")
+        assert os.read(end, 100) == b"result\n"
+    finally:
+        os.close(end)
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+
+
+def test_a_link_is_followed(tmp_path: Path) -> None:
+    (tmp_path / "true").write_text("before", encoding="utf-8")
+    (tmp_path / "link").symlink_to(tmp_path / "true")
+    write_whole(tmp_path / "link", "after")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "true").read_text(encoding="utf-8") == "after"
+
+
+def test_what_cannot_be_written_is_named_and_leaves_no_half(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="folder"):
+        write_whole(tmp_path / "folder" / "r.json", "x")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OSError, match="folder"):
+        write_whole(tmp_path / "folder", "x")
+    assert list(tmp_path.iterdir()) == [tmp_path / "folder"]
+
+
+def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="no name that a file can have") as refused:
+        write_whole(tmp_path / "a\ud800", "text")
+    assert "\ud800" not in str(refused.value)
+
+
+def test_a_pipe_that_nobody_reads_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="a pipe that nobody reads"):
+        write_whole(tmp_path / "pipe", "text")
+    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    write_whole(tmp_path / "pipe", "text")
+    assert os.read(reader, 100) == b"text"
+    os.close(reader)
