@@ -5,7 +5,7 @@
     python -m benchmarks.until_campaign --runs 2500 --seed 3 --minutes 15
 
 Each run draws a size of the noise (a part of what the bench file states, `--noise`, equally often), a block
-near the paper's and a stand, and takes the readings that `bench.planning.until` chooses from the
+near the paper's and a stand, and takes the readings that `bench.planning.choice` chooses from the
 paper's procedure, look by look, as `bench run --until` does; geometry and noise are not the application's.
 Stopping is by what a calibration of the readings so far states. Printed, for all and by noise: rms of z =
 (estimate - truth)/u over the twelve coefficients at the stop (wanted: 0.93 to 1.07) with its standard error

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from pydantic import BeforeValidator
+from pydantic import AfterValidator, BeforeValidator
 
 from bench.base.text import shortened
 
@@ -215,6 +215,17 @@ def not_negative(kind: QuantityKind) -> BeforeValidator:
         return number
 
     return BeforeValidator(read)
+
+
+def above_zero(why: str) -> AfterValidator:
+    """Return the validator of a size that is not zero, with the reason: `Annotated[SizeV, above_zero("no …")]`."""
+
+    def check(size: float) -> float:
+        if not size > 0.0:
+            raise ValueError(why.format(size))
+        return size
+
+    return AfterValidator(check)
 
 
 AngleRad = Annotated[float, reads(ANGLE)]

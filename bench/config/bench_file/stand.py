@@ -24,6 +24,7 @@ from bench.base.units import (
     SizeV,
     SpanS,
     VoltageV,
+    above_zero,
     not_negative,
 )
 from bench.base.yaml_files import FileModel
@@ -339,16 +340,10 @@ class PopulationSection(FileModel):
     """What is known of Δg over many blocks of this type, before one is measured: a normal distribution."""
 
     mean: AccelerationG = 0.0
-    standard_deviation: SizeG
-
-    @field_validator("standard_deviation")
-    @classmethod
-    def _more_than_none(cls, size_g: float) -> float:
-        if size_g == 0.0:
-            raise ValueError(
-                "blocks that are all alike need no verification; state a standard deviation above zero"
-            )
-        return size_g
+    standard_deviation: Annotated[
+        SizeG,
+        above_zero("blocks that are all alike need no verification; state a standard deviation above zero"),
+    ]
 
 
 class StatedRule(FileModel):
@@ -407,16 +402,13 @@ class TemperatureError(ErrorSize):
     """
 
     limit: SizeK
-    correlation_time: SpanS | None = None
-
-    @field_validator("correlation_time")
-    @classmethod
-    def _lasts(cls, time_s: float | None) -> float | None:
-        if time_s == 0.0:
-            raise ValueError(
-                "expected more than nothing; leave it out where the offset stays throughout a run"
-            )
-        return time_s
+    correlation_time: (
+        Annotated[
+            SpanS,
+            above_zero("expected more than nothing; leave it out where the offset stays throughout a run"),
+        ]
+        | None
+    ) = None
 
 
 class BiasPerKelvin(ErrorSize):

@@ -26,6 +26,7 @@ from bench.base.units import (
     Ratio,
     TemperatureC,
     VoltageV,
+    above_zero,
     not_negative,
     reads,
 )
@@ -157,25 +158,23 @@ WIRE_FACTS: Final = ("READ_TERMINATION", "WRITE_TERMINATION")
 """What the facts of an instrument with a wire must say; with a serial port `SERIAL`, too."""
 
 
+Timeout = Annotated[
+    DurationS, above_zero("expected a duration longer than nothing such as '5 s', got {:g} s")
+]
+
+
 class WiredForm(DeviceSection):
     """An instrument with a wire: where it is, how long to wait for a reply. Its `facts` say how it speaks."""
 
     facts: ClassVar[ModuleType]
 
     resource: str
-    timeout: DurationS = 3.0
+    timeout: Timeout = 3.0
 
     @property
     def place(self) -> BusPlace | None:
         """Where it is behind a GPIB adapter, None without one."""
         return bus_place(self.resource)
-
-    @field_validator("timeout")
-    @classmethod
-    def _positive(cls, timeout_s: float) -> float:
-        if timeout_s <= 0.0:
-            raise ValueError(f"expected a duration longer than nothing such as '5 s', got {timeout_s:g} s")
-        return timeout_s
 
     def port(self) -> Port:
         """Return how its wire is set up: as its facts have it, a serial port as the section says."""

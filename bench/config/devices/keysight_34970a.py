@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from bench.base.units import DurationS
-from bench.config.devices.device import Device, PortSection, WiredForm, any_resource
+from bench.config.devices.device import Device, PortSection, Timeout, WiredForm, any_resource
 from bench.config.devices.sections import SerialPortForm, ThermometerForm, ThermometerTruth, VoltmeterTruth
 from drivers.facts import keysight_34970a as multiplexer
 from drivers.facts.keysight_34970a import PAIRED, SENSORS
@@ -84,7 +84,7 @@ class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
 
     driver: Literal["keysight-34970a-thermometer"]
     resource: Annotated[str, AfterValidator(any_resource)]
-    timeout: DurationS = 5.0
+    timeout: Timeout = 5.0
     interface: Literal["lan", "gpib", "rs232"] = "lan"
     serial: PortSection = PortSection.of(multiplexer)
     channel: int

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from bench.base.units import Ratio, SizeA, SizeRad, TemperatureC, VoltageV
+from bench.base.units import Ratio, SizeA, SizeRad, TemperatureC, VoltageV, above_zero
 from bench.base.yaml_files import FileModel
 from bench.config.devices.device import Device
 from bench.config.devices.sections import (
@@ -76,18 +76,13 @@ class ManualLevelSection(LevelForm):
     by_hand: ClassVar = True
 
     driver: Literal["manual-level"]
-    division: SizeRad
+    division: Annotated[
+        SizeRad, above_zero("a vial has divisions: expected the value of one such as '5 arcsec'")
+    ]
     reading: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
     divisions: Annotated[float, Field(gt=0.0, le=100.0)] = 10.0
     scale: Annotated[Ratio, Field(ge=0.0, lt=1.0)] = 0.05
     turn: SizeRad = math.radians(1.0)
-
-    @field_validator("division")
-    @classmethod
-    def _has_divisions(cls, division_rad: float) -> float:
-        if division_rad == 0.0:
-            raise ValueError("a vial has divisions: expected the value of one such as '5 arcsec'")
-        return division_rad
 
     def driver_options(self) -> dict[str, Any]:
         """Return what a division is, and how well it is read."""
@@ -164,14 +159,7 @@ class ManualSupplySection(SupplyForm):
 
     driver: Literal["manual-supply"]
     outputs: Annotated[dict[str, ManualOutput], Field(min_length=1)]
-    tolerance: VoltageV = 0.1
-
-    @field_validator("tolerance")
-    @classmethod
-    def _more_than_nothing(cls, tolerance_v: float) -> float:
-        if tolerance_v <= 0.0:
-            raise ValueError("expected more than nothing: no output is exact")
-        return tolerance_v
+    tolerance: Annotated[VoltageV, above_zero("expected more than nothing: no output is exact")] = 0.1
 
     @property
     def limits(self) -> SupplyLimits:

@@ -14,7 +14,6 @@ from bench.base.arrays import ARCSEC
 from bench.base.units import (
     DIFFERENCE,
     AngleRad,
-    DurationS,
     QuantityKind,
     Ratio,
     SizeA,
@@ -22,6 +21,7 @@ from bench.base.units import (
     SpanS,
     TemperatureC,
     VoltageV,
+    above_zero,
     not_negative,
     reads,
 )
@@ -31,6 +31,7 @@ from bench.config.devices.device import (
     DeviceSection,
     HeadCertificate,
     Role,
+    Timeout,
     VoltmeterCertificate,
     WiredForm,
     any_resource,
@@ -130,7 +131,7 @@ class VoltmeterForm(WiredForm):
 
     stated_name: str | None = Field(None, alias="name")
     resource: Annotated[str, AfterValidator(any_resource)]
-    timeout: DurationS = 5.0
+    timeout: Timeout = 5.0
     range: VoltageV = 10.0
     interface: Literal["lan", "gpib", "rs232"] = "lan"
     certificate: VoltmeterCertificate | None = None
@@ -238,6 +239,9 @@ class HeadForm(DeviceSection):
     certificate: HeadCertificate | None = None
 
 
+_NO_HEAD: Final = "expected more than nothing: no head is exact, and none turns without a speed"
+
+
 class MotorisedHeadForm(HeadForm, WiredForm):
     """A head with a motor. It stays within `minimum` and `maximum` on its scale, also on the way.
 
@@ -246,18 +250,12 @@ class MotorisedHeadForm(HeadForm, WiredForm):
     turn may take.
     """
 
+    tolerance: Annotated[SizeRad, above_zero(_NO_HEAD)]
     minimum: AngleRad
     maximum: AngleRad
-    speed: SpeedRadS
+    speed: Annotated[SpeedRadS, above_zero(_NO_HEAD)]
     backoff: SizeRad = math.radians(1.0)
     settle: SpanS = 2.0
-
-    @field_validator("tolerance", "speed")
-    @classmethod
-    def _more_than_nothing(cls, size: float) -> float:
-        if size == 0.0:
-            raise ValueError("expected more than nothing: no head is exact, and none turns without a speed")
-        return size
 
     @model_validator(mode="after")
     def _can_turn(self) -> MotorisedHeadForm:
@@ -296,23 +294,19 @@ OF_THE_AIR: Final = ("rate", "lag", "off_lag")
 """What the simulated world does with the air of any chamber that is simulated."""
 
 
+_NO_CHAMBER: Final = "expected more than nothing: no chamber is at once where it is sent, nor never"
+
+
 class ChamberTruth(FileModel):
     """A simulated chamber with a controller: how fast it takes its air along, how it drifts back when off.
 
     `lag` is how far the air is behind; `sensor_noise` the standard deviation of what its sensor shows.
     """
 
-    rate: RateKS = 4.0 / 60.0
-    lag: SpanS = 120.0
-    off_lag: SpanS = 3600.0
+    rate: Annotated[RateKS, above_zero(_NO_CHAMBER)] = 4.0 / 60.0
+    lag: Annotated[SpanS, above_zero(_NO_CHAMBER)] = 120.0
+    off_lag: Annotated[SpanS, above_zero(_NO_CHAMBER)] = 3600.0
     sensor_noise: SizeK = 0.0
-
-    @field_validator("rate", "lag", "off_lag")
-    @classmethod
-    def _more_than_nothing(cls, size: float) -> float:
-        if size == 0.0:
-            raise ValueError("expected more than nothing: no chamber is at once where it is sent, nor never")
-        return size
 
 
 class TemperatureRange(FileModel):
@@ -353,22 +347,13 @@ class ControlledChamberForm(ChamberForm, WiredForm):
     One that has not gone a fifth of its way `slow_after` a demand is told of.
     """
 
-    band: SizeK | None = None
-    slow_after: SpanS = 300.0
-
-    @field_validator("band")
-    @classmethod
-    def _has_width(cls, band_k: float | None) -> float | None:
-        if band_k == 0.0:
-            raise ValueError("the band is more than nothing: no air keeps its temperature exactly")
-        return band_k
-
-    @field_validator("slow_after")
-    @classmethod
-    def _later(cls, slow_after_s: float) -> float:
-        if slow_after_s == 0.0:
-            raise ValueError("expected a while such as 5 min: at once no air has moved")
-        return slow_after_s
+    band: (
+        Annotated[SizeK, above_zero("the band is more than nothing: no air keeps its temperature exactly")]
+        | None
+    ) = None
+    slow_after: Annotated[SpanS, above_zero("expected a while such as 5 min: at once no air has moved")] = (
+        300.0
+    )
 
     def limits(self) -> tuple[float, float, float | None]:
         """Return lowest and highest demand and the band (`drivers.chambers.ChamberLimits`), °C."""
@@ -443,17 +428,12 @@ class SupplyTruth(FileModel):
     current: SizeA | None = None
     current_by_temperature: Annotated[float, reads(OF_CURRENT)] = 2e-3
     in_rush: Annotated[Ratio, Field(ge=1.0)] = 3.0
-    in_rush_time: SpanS = 0.05
+    in_rush_time: Annotated[
+        SpanS, above_zero("expected more than nothing: no capacitor is charged at once")
+    ] = 0.05
     brown_out: Annotated[Ratio, Field(gt=0.0, lt=1.0)] = 0.8
     dead_offset: VoltageV = 2e-3
     dead_noise: VoltageV = 5e-4
-
-    @field_validator("in_rush_time")
-    @classmethod
-    def _takes_time(cls, in_rush_time_s: float) -> float:
-        if in_rush_time_s == 0.0:
-            raise ValueError("expected more than nothing: no capacitor is charged at once")
-        return in_rush_time_s
 
 
 OF_THE_UNIT: Final = tuple(SupplyTruth.model_fields)

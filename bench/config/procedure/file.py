@@ -24,6 +24,7 @@ from bench.base.units import (
     SpanS,
     TemperatureC,
     VoltageV,
+    above_zero,
     parse_quantity,
 )
 from bench.base.yaml_files import FileModel
@@ -169,14 +170,9 @@ class LevelVerb(FileModel):
 class LevelSection(LevelVerb):
     """Level the platform before the block is mounted, measure what is left; beyond `within` it is done again."""
 
-    within: SizeRad = 10.0 * ARCSEC
-
-    @field_validator("within")
-    @classmethod
-    def _has_width(cls, within_rad: float) -> float:
-        if within_rad == 0.0:
-            raise ValueError("expected more than nothing: no platform is exactly level")
-        return within_rad
+    within: Annotated[SizeRad, above_zero("expected more than nothing: no platform is exactly level")] = (
+        10.0 * ARCSEC
+    )
 
 
 class InstallationVerb(FileModel):
