@@ -1,11 +1,14 @@
 """The shipped bench files: each passes a dry run, and none asks for more than its instruments leave to a person."""
 
+import io
 import json
-from pathlib import Path
+from contextlib import redirect_stderr, redirect_stdout
+from functools import cache
 
 import numpy as np
 import pytest
 
+from bench.cli.app import main
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.check import operator_actions
 from bench.config.procedure.load import load_procedure
@@ -32,27 +35,43 @@ def test_there_is_one_of_each_kind():
     assert wires == {"GPIB", "prologix", "TCPIP", "ASRL/dev/ttyUSB"}
 
 
-@pytest.fixture
-def without_drawing(monkeypatch):
-    """The report is the same on every bench, and drawing it takes ten times as long as the run."""
-    monkeypatch.setattr("bench.results.page.render_report", lambda _content: "")
+@pytest.fixture(scope="module")
+def run_on(tmp_path_factory):
+    """Return a function that makes a dry run on a shipped bench, once: its status, what it printed, its folder.
+
+    The report is left out: it is the same on every bench, and drawing it takes ten times as long as the run.
+    """
+    folder = tmp_path_factory.mktemp("benches")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bench.results.page.render_report", lambda _content: "")
+        patch.delenv("BENCH_FILE", raising=False)
+        patch.chdir(folder)
+
+        @cache
+        def call(name):
+            words = f"run quick --dry-run --bench {name} --name {name} --seed 3 --rule simple"
+            out, err = io.StringIO(), io.StringIO()
+            with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as end:
+                main(words.split())
+            assert err.getvalue() == ""
+            return end.value.code, out.getvalue(), folder / "runs" / name
+
+        yield call
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BENCHES)
-def test_a_dry_run_passes(bench, without_drawing, name):
-    run = ("run", "quick", "--dry-run", "--bench", name, "--name", "run", "--seed", "3")
-    status, out, err = bench(*run, "--rule", "simple")
-    assert (status, err) == (0, "")
-    assert "run: PASSED" in out or "run: CONDITIONAL PASS, accepted" in out
-    run = Run(Path("runs/run"))
-    readings = run.readings()
+def test_a_dry_run_passes(run_on, name):
+    status, out, folder = run_on(name)
+    assert status == 0
+    assert f"{name}: PASSED" in out or f"{name}: CONDITIONAL PASS, accepted" in out
+    readings = Run(folder).readings()
     plan = load_procedure(find_procedure("quick")).plan
     targets = [step.target_rad for step in plan.steps if isinstance(step, Turn)]
     file = load_bench(find_bench(name))
     assert np.abs(readings.angle_rad - targets).max() <= file.instruments.head.tolerance
     # 5 σ: of 9 coefficients on 8 benches none is outside by chance.
-    result = json.loads(Path("runs/run/calibrate.json").read_text())["coefficients"]
+    result = json.loads((folder / "calibrate.json").read_text())["coefficients"]
     truth = file.simulated_block()
     for row, i in enumerate("xyz"):
         for column, j in enumerate("xyz"):
@@ -92,12 +111,11 @@ def test_installations_are_the_same_on_every_bench():
 
 
 @pytest.mark.slow
-def test_the_wire_does_not_show_in_the_readings(bench, without_drawing):
+def test_the_wire_does_not_show_in_the_readings(run_on):
     """Three 34401A over GPIB, a GPIB adapter and serial ports: the same seed, the same world, the same values."""
     told = []
     for name in ("bench-gpib", "bench-prologix", "bench-rs232"):
-        bench("run", "quick", "--dry-run", "--bench", name, "--name", name)
-        readings = Run(Path("runs") / name).readings()
+        readings = Run(run_on(name)[2]).readings()
         told.append(np.column_stack([readings.signal, readings.angle_rad]))
     assert np.array_equal(told[0], told[1])
     assert np.array_equal(told[0], told[2])

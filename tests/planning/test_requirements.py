@@ -126,7 +126,7 @@ TARGETS = {
 
 
 @pytest.mark.slow
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=8, deadline=None, derandomize=True)
 @given(
     st.sampled_from(["closed-form", "least-squares", "gls"]),
     st.sampled_from(sorted(TARGETS)),

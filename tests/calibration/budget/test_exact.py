@@ -14,9 +14,9 @@ from bench.model import CATALOGUE, AppliedEffect
 from tests.support.budget_bench import ONE_SIGMA, paper_setup, stand
 from tests.support.paper_bench import K, simulate
 
-TRIALS = 20_000
+TRIALS = 10_000
 LIKE_FOUR_SIGMA = 4 / np.sqrt(2 * TRIALS)
-"""A standard deviation from so many trials: four standard errors, 2 %."""
+"""A standard deviation from so many trials: four standard errors, 3 %."""
 
 
 @pytest.mark.slow

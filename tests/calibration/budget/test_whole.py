@@ -151,23 +151,26 @@ def test_gravity_is_in_si_alone(run):
     assert written["coefficients"]["Kxx"]["U"] == pytest.approx(2 * found.u[0])
 
 
+RUNS = 12
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["roll", "meters", "noise", "setting", "all"])
 def test_errors_are_as_large_as_u_says(case):
-    """24 runs a case, seeds [5, case, k]; bounds fail a true 1.1 with probability 1e-5 each.
+    """So many runs a case, seeds [5, case, k]; bounds fail a true 1.1 with probability 1e-5 each.
 
     Thousands of runs, and the other cases, are `benchmarks/signed_uncertainty.py`.
     """
     z = []
-    for k in range(24):
+    for k in range(RUNS):
         drawn = simulate_whole(np.random.default_rng([5, CASES.index(case), k]), case)
         found = signed(drawn.readings)
         z.append((found.block.vector - drawn.truth) / found.u)
-    high = np.sqrt(stats.chi2.ppf(1 - 1e-5, 24) / 24)
+    high = np.sqrt(stats.chi2.ppf(1 - 1e-5, RUNS) / RUNS)
     rms = np.sqrt(np.mean(np.square(z), axis=0))
     assert np.all(rms < 1.1 * high), rms.round(2)
     if case == "all":
-        low = np.sqrt(stats.chi2.ppf(1e-5, 24) / 24)
+        low = np.sqrt(stats.chi2.ppf(1e-5, RUNS) / RUNS)
         assert np.all(rms > 0.9 * low), rms.round(2)
 
 

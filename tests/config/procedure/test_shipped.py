@@ -35,11 +35,12 @@ def bench_with_turned_installations(path, tmp_path):
 
 @pytest.mark.slow
 def test_every_shipped_procedure_runs_on_every_shipped_bench(tmp_path):
+    procedures = {path.stem: load_procedure(path) for path in find_procedure("paper").parent.glob("*.yaml")}
+    assert all(procedure.name == name for name, procedure in procedures.items())
     for bench_path in find_bench("paper-stand").parent.glob("*.yaml"):
         bench = bench_with_turned_installations(bench_path, tmp_path)
-        for path in find_procedure("paper").parent.glob("*.yaml"):
-            procedure = load_procedure(path)
-            assert (bench.name, procedure.name) == (bench_path.stem, path.stem)
+        assert bench.name == bench_path.stem
+        for procedure in procedures.values():
             plan = procedure.expand()
             heats = any(isinstance(step, SetTemperature) for step in plan.steps)
             scans = any(isinstance(step, Read) and step.scan for step in plan.steps)
