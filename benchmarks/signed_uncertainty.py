@@ -32,7 +32,7 @@ from scipy import stats
 from bench.base.arrays import Floats
 from bench.calibration import calibrate
 from bench.calibration.budget.sources import assumed_stand
-from bench.calibration.budget.whole import delta_g_covariance, sign
+from bench.calibration.budget.whole import delta_g_contributions, sign
 from bench.calibration.result import Calibration, Noise
 from bench.config.bench_file.stand import UncertaintySection
 from bench.history.comparison import Snapshot, compare
@@ -81,7 +81,9 @@ class Calibrator:
     def delta_g(self, found: Calibration, readings: Readings) -> tuple[Floats, Floats]:
         rows = readings.installation == VERIFICATION
         error = np.linalg.norm(found.block.specific_force(readings.signal[rows]), axis=1) - 1.0
-        return error, np.sqrt(np.diag(delta_g_covariance(found, readings, self.bench, self.model)))
+        return error, np.sqrt(
+            np.diag(sum(delta_g_contributions(found, readings, self.bench, self.model).values()))
+        )
 
 
 @cache

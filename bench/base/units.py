@@ -133,19 +133,25 @@ def parse_quantity(text: object, kind: QuantityKind) -> float:
     return _parsed(text, kind)
 
 
+def number_and_unit(text: str) -> tuple[float, str] | None:
+    """Return the number of a quantity as written, and its unit in plain letters; None where it is no quantity."""
+    match = _QUANTITY.fullmatch(text.replace("−", "-"))
+    return None if match is None else (float(match["number"]), plain_unit(match["unit"]))
+
+
 @lru_cache(maxsize=4096)
 def _parsed(text: str, kind: QuantityKind) -> float:
     """Return the value of a text; a long procedure has the same few again and again."""
-    match = _QUANTITY.fullmatch(text.replace("−", "-"))
-    if match is None:
+    read = number_and_unit(text)
+    if read is None:
         raise ValueError(f"{kind.expected}, got '{shortened(text)}'")
-    unit = plain_unit(match["unit"])
+    number, unit = read
     if not unit and kind.si:
         raise ValueError(f"{kind.expected}, got '{shortened(text)}' without a unit")
     factor = _factor_of(unit, kind, text)
     if factor is None or (kind.only and unit not in kind.only):
         raise ValueError(f"{kind.expected}, got '{shortened(text)}'")
-    value = float(match["number"]) * factor
+    value = number * factor
     if not math.isfinite(value):
         raise ValueError(f"{kind.expected}, got '{shortened(text)}', which is too large")
     return value

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Field
 
-from bench.base.units import Dimension, plain_unit, unit_of
+from bench.base.units import Dimension, number_and_unit, unit_of
 from bench.base.yaml_files import FileMistake, FileMistakes, FileModel, Place, load_document, part, validated
 from bench.model.effects import CATALOGUE, Effect, Parameter, Stage, Subsystem
 from bench.model.effects.formula import (
@@ -127,7 +127,6 @@ FORMAT: Final = "1"
 ENVIRONMENT: Final = "BENCH_EFFECTS"
 """Files with effects of the user's own, several with the system's path separator."""
 
-_QUANTITY: Final = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*(.*?)\s*")
 StandAngle = Literal["axis_tilt", "zero_offset", "mounting_error", "mounting_offset", "mounting_roll"]
 
 
@@ -333,15 +332,14 @@ def _shape(name: str, stated: FormulaParameter) -> Parameter:
 
 
 def _number(name: str, text: str) -> tuple[float, str]:
-    match = _QUANTITY.fullmatch(text.replace("−", "-"))
-    if match is None:
+    read = number_and_unit(text)
+    if read is None:
         raise ValueError(f"{name}: expected a number with its unit, such as '20 arcsec', got '{text}'")
     try:
-        unit = plain_unit(match[2])
-        unit_of(unit)
+        unit_of(read[1])
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
-    return float(match[1]), unit
+    return read
 
 
 # --- writing ----------------------------------------------------------------------------------------

@@ -66,12 +66,7 @@ def test_a_formula_is_read_in_si_and_written_back_the_same(tmp_path):
         ("1 rev, 720 deg], default: 1 rev", "1 rev]", None, None),
         ("1 rev, 720 deg]", "1 min]", 7, "different kinds"),
         ("default: 1 rev", "default: 3 rev", 7, "not in the grid"),
-        (
-            "lag: {grid: [0 min, 10 min]}",
-            "lag: {grid: [1 V]}",
-            6,
-            "the second argument of 'lagged' is a time",
-        ),
+        ("lag: {grid: [0 min, 10 min]}", "lag: {grid: [1 V]}", 6, "the second argument of 'lagged' is a time"),
         ("travelled / turns", "time * turns", 6, "exp takes a plain number or an angle, and is given s"),
         ("+ B", "+ time * B", 6, "stand on two sides of '\\+'"),
         ("settling", "hysteresis", 3, "the bench has an effect 'hysteresis' already"),
@@ -80,7 +75,7 @@ def test_a_formula_is_read_in_si_and_written_back_the_same(tmp_path):
         ("      A:", "      a:", 7, "'a' is a word of the formulas"),
         ("    sentence: the", "    sentences: the", 4, "sentence"),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_is_told_with_its_line(tmp_path, old, new, line, told):
     text = (HEAD + ENTRY).replace(old, new)
     assert text != HEAD + ENTRY

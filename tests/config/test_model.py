@@ -137,15 +137,12 @@ def test_mountings_and_shapes(tmp_path):
         ("warm_up\n    parameters: {tau: 0 min}", "expected tau to be more than nothing, got '0 min'"),
         ("warm_up\n    parameters: {tau: -5 min}", "expected tau to be more than nothing, got '-5 min'"),
         ("warm_up\n    parameters: {tau: 5 uV}", "expected a value of tau such as '20 min', got '5 uV'"),
-        (
-            "warm_up\n    parameters: {tau: {value: 5 min, u: 1 min}}",
-            "tau is a shape: a fit holds it as it is",
-        ),
+        ("warm_up\n    parameters: {tau: {value: 5 min, u: 1 min}}", "tau is a shape: a fit holds it as it is"),
         ("warm_up\n    parameters: {tau: {x: 5 min}}", "tau has one value, not one for each channel"),
         ("thermal_bias\n    parameters: {lag: -1 min}", "expected lag to be nothing or more, got '-1 min'"),
         ("hysteresis\n    installations: 2\n    parameters: {}", "installations"),
     ],
-)
+)  # fmt: skip
 def test_a_shape_or_mounting_that_cannot_be_is_a_mistake(tmp_path, effect, told):
     with pytest.raises(FileMistakes) as error:
         load(tmp_path, HEAD + f"  - name: {effect}\n")

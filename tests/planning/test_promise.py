@@ -5,7 +5,7 @@ import pytest
 
 from bench.calibration import calibrate
 from bench.calibration.budget.sources import assumed_stand
-from bench.calibration.budget.whole import delta_g_covariance, sign
+from bench.calibration.budget.whole import delta_g_contributions, sign
 from bench.calibration.noise import LEAST_REPEATS
 from bench.calibration.result import Noise
 from bench.config.bench_file.file import load_bench
@@ -84,5 +84,5 @@ def test_what_is_promised_is_what_is_signed(name, procedure):
     u = [goal.u(promise.readings) for goal in promise.goals]
     np.testing.assert_allclose(u[: len(COEFFICIENTS)], signed.u, rtol=0.01)
     np.testing.assert_allclose(np.sqrt(np.diag(promise.combined)), signed.u, rtol=0.01)
-    at_points = delta_g_covariance(signed, readings, bench, model, utc_now().date())
+    at_points = sum(delta_g_contributions(signed, readings, bench, model, utc_now().date()).values())
     np.testing.assert_allclose(u[len(COEFFICIENTS) :], np.sqrt(np.diag(at_points)), rtol=0.02)

@@ -241,18 +241,6 @@ def delta_g_contributions(
     return found
 
 
-def delta_g_covariance(
-    calibration: Calibration,
-    readings: Readings,
-    bench: BenchFile,
-    model: ForwardModel,
-    day: date | None = None,
-    meters: KnownMeters | None = None,
-) -> Floats:
-    """Return the covariance (v, v) of |a| at the verification rows: the sum of `delta_g_contributions`."""
-    return np.asarray(sum(delta_g_contributions(calibration, readings, bench, model, day, meters).values()))
-
-
 def _taken(calibration: Calibration, readings: Readings, bench: BenchFile) -> Taken:
     return Taken(readings, calibration.block, _meters(bench), calibration.slope)
 

@@ -10,7 +10,7 @@ from scipy import stats
 from bench.calibration import calibrate
 from bench.calibration.budget.coefficients import Setup, make_budget
 from bench.calibration.budget.sources import assumed_stand, bench_sources
-from bench.calibration.budget.whole import delta_g_covariance, delta_g_elsewhere, sign
+from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere, sign
 from bench.calibration.result import Noise
 from bench.config.bench_file.file import load_bench
 from bench.config.bench_file.stand import RatioError, TemperatureError, VoltageError
@@ -35,6 +35,11 @@ def signed(readings, noise=None, **options):
 @pytest.fixture(scope="module")
 def run():
     return simulate_whole(np.random.default_rng([3, 1]), "stand").readings
+
+
+def delta_g_covariance(*asked):
+    """The covariance of |a| at the verification rows."""
+    return sum(delta_g_contributions(*asked).values())
 
 
 def source(found, name):

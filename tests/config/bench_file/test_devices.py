@@ -138,14 +138,11 @@ def test_two_of_one_name_are_refused_with_both_places(mine, tmp_path):
     [
         ('"NAME"', '"my-meter"', None),
         ('Literal["NAME"]', "str", "does not have driver: Literal['my-meter']"),
-        (
-            "facts: ClassVar = like_it",
-            "facts: ClassVar = Literal",
-            "lack READ_TERMINATION, WRITE_TERMINATION, RANGES_V",
-        ),
+        ("facts: ClassVar = like_it", "facts: ClassVar = Literal",
+         "lack READ_TERMINATION, WRITE_TERMINATION, RANGES_V"),
         ("DEVICE = Device(", "DEVICE = dict(name=", "its DEVICE is no bench.config.devices.device.Device"),
     ],
-)
+)  # fmt: skip
 def test_a_declaration_that_does_not_hold_is_told(mine, old, new, text):
     source = METER.replace(old, new)
     if text and "dict" in new:

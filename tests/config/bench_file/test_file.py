@@ -171,38 +171,29 @@ def test_many_mistakes_are_told_at_once_with_their_lines(mistakes, paper_text, l
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
-        (
-            "x: -2.18 V/g",
-            "x: -218 V/g",
-            "scale_factors.x: 1 g gives 218 V, but the voltmeters read no more than 12 V",
-        ),
+        ("x: -2.18 V/g", "x: -218 V/g",
+         "scale_factors.x: 1 g gives 218 V, but the voltmeters read no more than 12 V"),
         ("-2.177087 V/g", "-11.99 V/g", "simulation.block.K[1]: channel x reaches 12.1 V in a turn"),
         ("-2.177087 V/g, ", "", "simulation.block.K[1]: expected a list of at least 3, got a list of 2"),
         ("x: -2.18 V/g", "x: 0 V/g", "a scale factor is not zero"),
         ("  V: {axes", "  S: {axes", "installations.S: F (free), S (shorted), R (reference)"),
         ("about: z}", "about: w}", "expected x, y or z, got 'w'"),
         ("turned: 45 deg", "turned: 45", "got '45' without a unit"),
-        (
-            "minimum: -40 degC, maximum: 60 degC",
-            "minimum: 60 degC, maximum: -40 degC",
-            "the minimum 60 °C is not below",
-        ),
+        ("minimum: -40 degC, maximum: 60 degC", "minimum: 60 degC, maximum: -40 degC",
+         "the minimum 60 °C is not below"),
         ("limit: 90 arcsec, distribution: normal, k: 3", "limit: 90 arcsec, distribution: normal", "needs k"),
         ("limit: 90 arcsec, distribution: normal", "limit: 90 arcsec, distribution: rectangular", "has no k"),
         ("limit: 90 arcsec", "limit: -90 arcsec", "not negative"),
         ("line_frequency: 50 Hz", "line_frequency: 55 Hz", "the mains have 50 Hz or 60 Hz"),
         ('"GPIB0::22::INSTR"', "address 22", "expected a VISA resource such as 'GPIB0::22::INSTR'"),
-        (
-            "gravity: {latitude: 50.449 deg, height: 180 m}",
-            "gravity: 8.9 m/s^2",
-            "gravity: local gravity lies between",
-        ),
+        ("gravity: {latitude: 50.449 deg, height: 180 m}", "gravity: 8.9 m/s^2",
+         "gravity: local gravity lies between"),
         ("name: paper-stand\n", "", ": 'name' is missing"),
         ("name: paper-stand", "name: [a, b]", "name: expected a text, got a list of 2"),
         ("resolution: 1 arcsec", "resolution: 0 arcsec", "a scale has steps"),
         ("slip_probability: 0.01 ", "slip_probability: 2 ", "expected less than 1.0, got '2'"),
     ],
-)
+)  # fmt: skip
 def test_each_mistake_is_one_sentence(mistakes, paper_text, old, new, text):
     assert paper_text.count(old) == 1
     told = mistakes(paper_text.replace(old, new))

@@ -13,7 +13,7 @@ from bench.calibration import CalibrationError
 from bench.calibration.observability import require_rank
 from bench.cli.app import main
 from bench.config.bench_file.file import load_bench
-from bench.config.procedure.check import disk_needed_bytes, operator_actions, undetermined
+from bench.config.procedure.check import check, disk_needed_bytes, operator_actions, undetermined
 from bench.config.procedure.load import load_procedure
 from bench.config.procedure.plan import Mount, Plan, Read, Turn, Wait
 from bench.config.shipped import find_bench, find_procedure
@@ -306,3 +306,27 @@ def test_many_passes_fold_once_more_and_all_prints_each_step(tmp_path, bench):
     assert lines[3].text == "the same 49 times more, to installation 1, pass 100, point 1"
     out = bench("check", "p.yaml", "--all")[1].splitlines()
     assert out[: len(plan.steps)] == [f"{n:>13}  {s.describe()}" for n, s in enumerate(plan.steps, start=1)]
+
+
+# --- a motorised head: every place on the way must lie within its limits --------------------------------
+
+
+def turn_to(degrees, direction):
+    return Turn(f"t{degrees}", "1", 1, 1, 1, float(np.radians(degrees)), direction)
+
+
+def on_the_motorised_head(*steps):
+    return check(Plan("p", steps, ""), load_bench(find_bench("bench-motorised")))
+
+
+def test_turns_within_the_limits_are_no_problem():
+    assert on_the_motorised_head(turn_to(0, 1), turn_to(45, -1), turn_to(360, 1), turn_to(360, -1)) == []
+
+
+def test_a_turn_whose_way_leads_out_of_the_limits_is_refused_once():
+    bench = load_bench(find_bench("bench-motorised"))
+    highest = float(np.degrees(bench.head_limits_rad[1]))
+    found = on_the_motorised_head(turn_to(highest, -1), turn_to(highest, -1), turn_to(highest, 1))
+    assert len(found) == 1
+    assert f"falling to {highest:g}°" in found[0]
+    assert on_the_motorised_head(turn_to(highest + 1, 1))
