@@ -27,12 +27,12 @@ from typing import Any
 from unittest import mock
 from urllib.parse import quote, urlencode
 
-from bench.panel import connections
-from bench.panel.access import LARGEST_BODY, Access, Person, Role
+from bench.panel import app as connections
+from bench.panel.access import LARGEST_BODY, STATE, Access, Person, Role, Settings
 from bench.panel.app import make_app, prepare
 from bench.panel.holding import JOURNAL
 from bench.panel.serving import config_of
-from bench.panel.settings import STATE, Settings
+from bench.panel.shared import LOG
 from bench.run.events import EVENTS
 from bench.run.person import ANSWERS, CONTROL, asked_to_json, problem_with_answer
 from bench.run.record import Record
@@ -77,7 +77,7 @@ WORDS = (
 )  # fmt: skip
 FIELDS = (
     "do", "to", "wish", "reason", "id", "text", "procedure", "bench", "unit", "operator", "name",
-    "practice", "token", "link", "next", "csrf",
+    "dry_run", "token", "link", "next", "csrf",
 )  # fmt: skip
 ORIGINS = ("null", "http://evil.example", "https://127.0.0.1:8741", HOME + ".evil", HOME + "/", "", "\xff")
 KINDS = (
@@ -525,7 +525,7 @@ async def served(place: Place, count: int, seed: int) -> list[str]:
     try:
         with (
             mock.patch.object(connections, "REQUEST_S", 0.2),
-            mock.patch.object(connections.LOG, "callHandlers", logged.append),
+            mock.patch.object(LOG, "callHandlers", logged.append),
         ):
             wrong = await raw(port, count, seed)
     finally:

@@ -54,8 +54,8 @@ def panel(
 ) -> int:
     """Serve the operator's panel in a browser over a folder of runs; make the tokens of who may come in."""
     refuse_without_packages()
+    from bench.panel.access import Settings
     from bench.panel.serving import serve
-    from bench.panel.settings import Settings
 
     if what is not None:
         return _of_people(what, name, role, runs)
@@ -86,9 +86,8 @@ def link_to(run: str, runs: Path) -> str:
 
 def _of_people(what: What, name: str | None, role: str, runs: Path) -> int:
     """Make, list or take back what people sign in with."""
-    from bench.panel.access import Access, Role
+    from bench.panel.access import STATE, Access, Role
     from bench.panel.serving import is_serving, new_link
-    from bench.panel.settings import STATE
 
     out = printing.console()
     if what in {What.TOKEN, What.REVOKE} and name is None:

@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -17,13 +17,17 @@ from typing import Any, Final
 from filelock import FileLock, Timeout
 
 from bench.base.files import from_text, open_regular, read_regular, to_text, write_whole
+from bench.base.requests import fields_of
 from bench.base.text import visible
+from bench.base.yaml_files import FileMistakes
 from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.panel.access import Refusal, private_folder
 from bench.panel.folder import RunsFolder
 from bench.run.events import EVENTS, RecordError, sha256
 from bench.run.folder import Run, checked_name
 from bench.run.record import is_being_written
+from bench.services.errors import Refused
+from bench.services.requests.measuring import RunRequest
 from drivers.clock import Clock, SystemClock, utc_now
 
 BENCH: Final = ("-c", "from bench.cli.program import main; main()")
@@ -102,18 +106,22 @@ MOST_AT_ONCE: Final = 2
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is to be run: procedure and bench by path with the SHA-256 that they were checked with, unit, operator.
+    """The run that somebody wants: fields of `RunRequest` as the form sent them, and what they were checked with.
 
-    `practice` is a dry run that asks a person; `name` is the run's, empty where it is to be found.
+    Procedure and bench are absolute paths, `sha256` the hash of each. A dry run is practice: a person answers.
     """
 
-    procedure: str
-    bench: str
-    unit: str = ""
-    operator: str = ""
-    name: str = ""
-    practice: bool = False
+    fields: Mapping[str, str | bool]
     sha256: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def request(self) -> RunRequest:
+        """The request, as `bench run` has it."""
+        return RunRequest(**{"procedure": "", **self.fields})  # type: ignore[arg-type]
+
+    @property
+    def _files(self) -> tuple[object, object]:
+        return self.request.procedure, self.request.bench
 
     def hashed(self) -> Wanted:
         """Return it with the hashes of its files as they are now. Raises `Refusal`."""
@@ -125,7 +133,10 @@ class Wanted:
 
     def _hashes(self) -> dict[str, str]:
         try:
-            return {path: sha256(read_regular(Path(path))) for path in (self.procedure, self.bench)}
+            return {
+                path: sha256(read_regular(Path(path)))
+                for path in (str(self.request.procedure), str(self.request.bench))
+            }
         except OSError as error:
             raise Refusal(409, f"{error.filename}: cannot be read ({error.strerror})") from error
 
@@ -249,15 +260,28 @@ class Wishes:
         return WishFolder(self._folder / wish_id)
 
 
-ANSWERS: Final = "--answers=folder"
+ANSWERS: Final = "folder"
 OUTPUT: Final = "panel.log"
 """What the program that carries out a run writes for a terminal, in the run's folder."""
 
 
+def arguments_of(request: RunRequest) -> Iterator[str]:
+    """Yield the arguments of `bench run` by which it makes the same request."""
+    for one in fields_of(type(request)):
+        value = getattr(request, one.name)
+        flag = (one.option.flags or (f"--{one.name.replace('_', '-')}",))[0]
+        if one.option.argument:
+            yield str(value)
+        elif value is True:
+            yield flag
+        elif value != one.default and value is not None:
+            yield from (f"{flag}={text}" for text in (value if isinstance(value, list) else [value]))
+
+
 def name_of(wanted: Wanted, runs: RunsFolder) -> str:
     """Return the name of a run to be started, one that no run has. Raises `Refusal`."""
-    stem = re.sub(r"[^\w.+-]", "-", Path(wanted.procedure).stem)
-    name = wanted.name or f"{stem}-{utc_now().astimezone():%Y%m%d-%H%M%S}"
+    stem = re.sub(r"[^\w.+-]", "-", Path(wanted.request.procedure).stem)
+    name = wanted.request.name or f"{stem}-{utc_now().astimezone():%Y%m%d-%H%M%S}"
     try:
         checked_name(name)
     except RecordError as mistake:
@@ -274,12 +298,8 @@ def start_run(wish: WishFolder, runs: RunsFolder) -> Run:
         raise Refusal(409, "procedure or bench file was changed since they were checked; check them again")
     name = name_of(wanted, runs)
     wish.mark_started(name)
-    arguments = [
-        "run", wanted.procedure, f"--bench={wanted.bench}", f"--name={name}", f"--runs={runs.path.absolute()}",
-        f"--operator={wanted.operator}", ANSWERS,
-    ]  # fmt: skip
-    arguments += [f"--unit={wanted.unit}"] if wanted.unit else []
-    arguments += ["--dry-run"] if wanted.practice else []
+    asked = replace(wanted.request, name=name, runs=runs.path.absolute(), answers=ANSWERS)
+    arguments = ["run", *arguments_of(asked)]
     folder = runs.path / name
     try:
         started = start(arguments, wish.path / OUTPUT)
@@ -299,7 +319,9 @@ def resume_run(run: Run) -> None:
     """
     if is_being_written(run.folder):
         raise Refusal(409, "a program is carrying out this run now")
-    started = start(["resume", str(run.folder.absolute()), f"--runs={_runs(run)}", ANSWERS], _output(run))
+    started = start(
+        ["resume", str(run.folder.absolute()), f"--runs={_runs(run)}", f"--answers={ANSWERS}"], _output(run)
+    )
     wait_until(lambda: is_being_written(run.folder) or not run.results_missing, started)
 
 
@@ -389,3 +411,54 @@ def _beginning(file: Path) -> bytes:
             return stream.read(BEGINNING)
     except OSError:
         return b""
+
+
+# --- what checks and tries a wish, as a process of its own: python -m bench.panel.launching FOLDER -----
+
+
+def main() -> None:
+    """Check and try the wish in the folder that is named on the command line."""
+    wish = WishFolder(Path(sys.argv[1]))
+    with wish.lock():
+        found = checked(wish.wanted(), wish.path)
+        if found.stage == "trying":
+            wish.tell(found)
+            found = tried(wish, found)
+        wish.tell(found)
+
+
+def checked(wanted: Wanted, folder: Path) -> Found:
+    """Return the findings of `bench check`; with what the dry run would refuse, it is not tried."""
+    from bench.services.requests.planning import Check
+    from bench.services.until import look_ahead
+
+    try:
+        findings = look_ahead(Check(str(wanted.request.procedure), bench=wanted.request.bench, runs=folder))
+    except (Refused, FileMistakes) as mistakes:
+        return Found("done", mistakes=str(mistakes))
+    return Found("trying" if findings.can_be_tried else "done", check=findings.result.to_dict())
+
+
+def tried(wish: WishFolder, found: Found) -> Found:
+    """Return what a dry run came to."""
+    log, result = wish.path / "dry-run.log", wish.path / "dry-run.json"
+    trial = replace(wish.wanted().request, dry_run=True, name="trial", runs=wish.path / "runs", operator="")
+    arguments = ["run", *arguments_of(trial), f"--json={result}"]
+    with log.open("wb") as out:
+        status = subprocess.run(  # noqa: S603 - a program of ours, arguments that were checked
+            [sys.executable, *BENCH, *arguments],
+            stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, check=False,
+        ).returncode  # fmt: skip
+    return replace(found, stage="done", tried=status, said=last_words(log), result=_result(result))
+
+
+def _result(file: Path) -> dict[str, Any] | None:
+    try:
+        told = from_text(read_regular(file))
+    except (OSError, ValueError):
+        return None
+    return told if isinstance(told, dict) else None
+
+
+if __name__ == "__main__":
+    main()

@@ -14,9 +14,8 @@ from urllib.parse import quote, urlsplit
 from filelock import FileLock, Timeout
 
 from bench.base.files import from_text, read_regular, to_text, write_whole
-from bench.panel.access import Access, Refusal, private_folder
+from bench.panel.access import PORT, STATE, Access, Refusal, Settings, is_loopback, private_folder
 from bench.panel.launching import Started, start, wait_until
-from bench.panel.settings import PORT, STATE, Settings, is_loopback
 from bench.run.events import RecordError
 
 if TYPE_CHECKING:
@@ -70,7 +69,8 @@ def config_of(app: ASGIApp) -> uvicorn.Config:
     """Return how an application is served: by our connections, with warnings about clients once a minute."""
     import uvicorn
 
-    from bench.panel.connections import LOG, ONCE, Connection
+    from bench.panel.app import ONCE, Connection
+    from bench.panel.shared import LOG
 
     config = uvicorn.Config(
         app,

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from bench.panel.access import STATE, Settings, is_loopback
 from bench.panel.serving import LOCK, SERVER, new_link, open_panel, serve
-from bench.panel.settings import STATE, Settings, is_loopback
 from bench.run.events import RecordError
 
 

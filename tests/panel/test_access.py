@@ -5,9 +5,8 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from bench.panel.access import LINKS, SESSIONS, TOKENS, Access, Role
+from bench.panel.access import LINKS, SESSIONS, STATE, TOKENS, Access, Role, Settings
 from bench.panel.app import make_app
-from bench.panel.settings import STATE, Settings
 from bench.run.events import RecordError
 from tests.support.panel_client import HOME, OWN, Browser, TestClient, stranger
 

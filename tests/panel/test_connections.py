@@ -11,10 +11,9 @@ import socket
 
 import pytest
 
-from bench.panel import connections
-from bench.panel.access import LARGEST_BODY, MOST_SESSIONS, Access, Role
-from bench.panel.connections import OncePerMinute
-from bench.panel.settings import STATE
+from bench.panel import app as connections
+from bench.panel.access import LARGEST_BODY, MOST_SESSIONS, STATE, Access, Role
+from bench.panel.app import OncePerMinute
 from benchmarks.panel_fuzz import RECORD as RECORDS
 from benchmarks.panel_fuzz import Request, send
 from tests.support.panel_client import OWN, Browser, stranger

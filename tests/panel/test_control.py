@@ -141,7 +141,7 @@ def test_a_run_is_given_up_for_good_by_who_is_in_control(anna, runs, one):
 
 def test_resuming_takes_control_where_nobody_has_it(anna, runs, one, monkeypatch):
     started = []
-    monkeypatch.setattr("bench.panel.pages.control.resume_run", lambda run: started.append(run.name))
+    monkeypatch.setattr("bench.panel.pages.run.resume_run", lambda run: started.append(run.name))
     ben = Browser(runs, "ben")
     assert anna.post("/runs/one/resume").headers["location"] == "/runs/one/"
     assert read_holding(one).holder == "anna"
@@ -167,8 +167,7 @@ def test_what_the_script_is_told_names_who_is_in_control(anna):
 
 
 def test_a_stream_ends_when_who_looks_is_signed_out_for_good(anna, runs, monkeypatch):
-    from bench.panel.access import Access
-    from bench.panel.settings import STATE
+    from bench.panel.access import STATE, Access
 
     async def events():
         yield b"event: state\ndata: {}\n\n"

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from bench.panel.access import Access, Role
+from bench.panel.access import STATE, Access, Role, Settings
 from bench.panel.app import make_app
-from bench.panel.settings import STATE, Settings
 from bench.run.events import EVENTS, MANIFEST
 from bench.run.record import Record
 from drivers.clock import utc_now

@@ -10,7 +10,8 @@ from markupsafe import escape
 
 import bench.panel
 from bench.panel.app import LATE, LATE_OF_CATALOGUE
-from bench.panel.look import ASSETS, _environment, asset, load, page, read_asset
+from bench.panel.shared import ASSETS, _environment, asset, load, read_asset
+from bench.panel.shared import rendered as page
 
 
 @pytest.mark.parametrize("name", ASSETS)

@@ -7,8 +7,7 @@ import shutil
 import pytest
 
 from bench.panel.access import Refusal
-from bench.panel.folder import RunsFolder, read_page
-from bench.panel.table import UNREAD, RunsTable, state_at_the_end
+from bench.panel.folder import UNREAD, RunsFolder, RunsTable, read_page, state_at_the_end
 from bench.run.folder import Run
 from bench.services.records import run_summary
 from tests.support.pages import ROOT
@@ -86,7 +85,7 @@ def test_a_run_is_read_again_when_its_files_are_others_and_not_else(runs, monkey
     table.rows()
     read = []
     monkeypatch.setattr(RunsTable, "_read", lambda self, run, stamp, wait: read.append(run.name))
-    monkeypatch.setattr("bench.panel.table._now", lambda folder, row: row)
+    monkeypatch.setattr("bench.panel.folder._now", lambda folder, row: row)
     assert len(table.rows()) == 2
     assert read == []
     (runs / "finished" / "verify.json").write_text(json.dumps({"passed": False}))

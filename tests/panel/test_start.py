@@ -1,25 +1,28 @@
 """Starting a run: only what may be chosen, check and dry run before, and what is started is what was checked."""
 
 import json
+from dataclasses import replace
+from html import unescape
 from pathlib import Path
 
 import pytest
 
-from bench.panel import trying
-from bench.panel.access import Refusal, Role
+from bench.panel import launching as trying
+from bench.panel.access import Refusal, Role, Settings
 from bench.panel.launching import (
     MOST_KEPT,
     Found,
     Wanted,
     Wishes,
     WishFolder,
+    arguments_of,
     choices,
     chosen_bench,
     start,
     wait_until,
 )
-from bench.panel.panel import Panel
-from bench.panel.settings import Settings
+from bench.panel.pages.start import FORM, form_field
+from bench.panel.shared import Panel
 from tests.support.panel_client import Browser
 
 CHOSEN = {"procedure": "quick", "bench": "paper-stand"}
@@ -78,6 +81,22 @@ def test_what_cannot_be_wished_is_refused_and_nothing_started(runs, started, sen
     reply = Browser(runs, "anna").post("/start", **{**CHOSEN, **sent})
     assert reply.status_code in {400, 409}
     assert started == []
+
+
+def test_the_form_asks_for_fields_of_the_request_and_the_same_request_is_run(runs, started):
+    anna = Browser(runs, "anna")
+    page = anna.get("/start").text
+    for field in map(form_field, FORM):
+        assert f'<label for="{field.name}">{field.label}</label>' in page
+        assert field.help in unescape(page)
+    wanted = begun(anna, unit="17-042", dry_run="yes").wanted()
+    assert (wanted.request.unit, wanted.request.operator, wanted.request.dry_run) == ("17-042", "anna", True)
+    arguments = list(arguments_of(replace(wanted.request, name="one", until=["all=1e-4", "time=4h"])))
+    assert arguments[0] == wanted.request.procedure
+    assert {"--unit=17-042", "--operator=anna", "--dry-run", "--until=all=1e-4", "--until=time=4h"} < {
+        *arguments
+    }
+    assert not any(word.startswith(("--seed", "--model", "--panel")) for word in arguments)
 
 
 def test_a_viewer_starts_nothing(runs, started):
@@ -141,7 +160,7 @@ def test_what_was_changed_since_it_was_checked_is_not_started(runs, started):
 
 
 def test_a_wish_is_started_once(tmp_path):
-    wish = Wishes(tmp_path).new(Wanted("p", "b"))
+    wish = Wishes(tmp_path).new(Wanted({"procedure": "p", "bench": "b"}))
     wish.mark_started("one")
     with pytest.raises(Refusal, match="started already, as one"):
         wish.mark_started("two")
@@ -149,7 +168,7 @@ def test_a_wish_is_started_once(tmp_path):
 
 def test_old_wishes_are_forgotten(tmp_path):
     wishes = Wishes(tmp_path)
-    made = [wishes.new(Wanted("p", "b")).id for _ in range(MOST_KEPT + 5)]
+    made = [wishes.new(Wanted({"procedure": "p", "bench": "b"})).id for _ in range(MOST_KEPT + 5)]
     kept = {folder.name for folder in tmp_path.iterdir()}
     assert len(kept) == MOST_KEPT
     assert made[-1] in kept
@@ -159,20 +178,27 @@ def test_old_wishes_are_forgotten(tmp_path):
 
 def test_no_more_than_two_are_tried_at_once(tmp_path):
     wishes = Wishes(tmp_path)
-    one, two = wishes.new(Wanted("p", "b")), wishes.new(Wanted("p", "b"))
+    one, two = (
+        wishes.new(Wanted({"procedure": "p", "bench": "b"})),
+        wishes.new(Wanted({"procedure": "p", "bench": "b"})),
+    )
     with one.lock(), two.lock(), pytest.raises(Refusal, match="two runs are being tried already"):
-        wishes.new(Wanted("p", "b"))
-    wishes.new(Wanted("p", "b"))
+        wishes.new(Wanted({"procedure": "p", "bench": "b"}))
+    wishes.new(Wanted({"procedure": "p", "bench": "b"}))
 
 
 @pytest.mark.slow
 def test_a_wish_is_checked_and_tried_by_a_process_of_its_own(runs):
     wish = Wishes(runs.parent / "wishes").new(
         Wanted(
-            str(choices("procedures")["quick"]), str(choices("config")["paper-stand"]), unit="17-042"
+            {
+                "procedure": str(choices("procedures")["quick"]),
+                "bench": str(choices("config")["paper-stand"]),
+                "unit": "17-042",
+            }
         ).hashed()
     )
-    process = start([str(wish.path)], wish.path / "log", program=("-m", "bench.panel.trying"))
+    process = start([str(wish.path)], wish.path / "log", program=("-m", "bench.panel.launching"))
     assert process.process.wait(120) == 0, process.last_words()
     found = wish.found()
     assert (found.stage, found.tried, found.startable) == ("done", 0, True)

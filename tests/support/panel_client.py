@@ -11,9 +11,8 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # the client tells of a successor of what it stands on
     from starlette.testclient import TestClient
 
-from bench.panel.access import Access, Role
+from bench.panel.access import STATE, Access, Role, Settings
 from bench.panel.app import make_app
-from bench.panel.settings import STATE, Settings
 
 HOME = "http://127.0.0.1:8741"
 OWN = {"origin": HOME}

@@ -9,10 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bench.panel.access import Access, Role
+from bench.panel.access import STATE, Access, Role, Settings
 from bench.panel.app import make_app
 from bench.panel.serving import config_of
-from bench.panel.settings import STATE, Settings
 
 
 @dataclass

@@ -10,8 +10,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from bench.panel.access import Refusal
-from bench.panel.acting import looking, panel_of
-from bench.panel.pages.shown import page
+from bench.panel.shared import looking, page, panel_of
 
 if TYPE_CHECKING:
     from bench.catalogue.questions import Answer

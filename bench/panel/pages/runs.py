@@ -1,17 +1,20 @@
-"""The runs of the folder as a table, filtered and searched."""
+"""The runs of the folder as a table, filtered and searched; the charts of its check block."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Final
 from urllib.parse import urlencode
 
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
-from bench.panel.acting import looking, panel_of
-from bench.panel.pages.shown import page
-from bench.panel.table import UNREAD, Row
+from bench.panel.access import Refusal
+from bench.panel.folder import UNREAD, Row
+from bench.panel.shared import APART, looking, page, panel_of
+from bench.services.requests.history import Chart
 
 ON_A_PAGE: Final = 50
 FILTERS: Final = ("state", "verdict", "instruments", "unit", "bench", "operator")
@@ -56,3 +59,23 @@ def _choices(rows: list[Row], asked: dict[str, str]) -> dict[str, list[str]]:
 
 def _number(text: str) -> int:
     return int(text) if text.isascii() and text.isdecimal() and len(text) < 7 else 1
+
+
+KINDS: Final = {"": None, "real": True, "simulated": False}
+
+
+async def check_block(request: Request) -> Response:
+    """Show the charts of the check block of which the latest run is; `of` says whether real or simulated ones."""
+    looking(request)
+    asked = request.query_params.get("of", "")
+    if asked not in KINDS:
+        raise Refusal(400, "of: expected real or simulated")
+    drawn = await run_in_threadpool(_drawn, panel_of(request).settings.runs, KINDS[asked])
+    return Response(drawn, media_type="text/html; charset=utf-8", headers=APART)
+
+
+def _drawn(folder: Path, real: bool | None) -> str:
+    from bench.results.control_chart_page import render_chart
+    from bench.services.check_block import charted
+
+    return render_chart(charted(Chart(folder, folder=folder, real=real)))

@@ -11,8 +11,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from bench.panel.access import LONGEST_SESSION, Refusal, Role
-from bench.panel.acting import acting, fields, panel_of
-from bench.panel.pages.shown import page
+from bench.panel.shared import acting, fields, page, panel_of
 
 _HERE: Final = re.compile(r"/(?:[^/\\\s][^\\]*)?")
 

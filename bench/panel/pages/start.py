@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any, Final
 from urllib.parse import quote
@@ -10,10 +11,10 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
+from bench.base.requests import fields_of
 from bench.base.text import visible
 from bench.config.shipped import CONFIG, PROCEDURES
 from bench.panel.access import Person, Refusal, Role
-from bench.panel.acting import acting, looking, panel_of
 from bench.panel.holding import change, read_holding
 from bench.panel.launching import (
     OF_RUN,
@@ -28,11 +29,17 @@ from bench.panel.launching import (
     start,
     start_run,
 )
-from bench.panel.pages.shown import page
-from bench.panel.panel import Panel
+from bench.panel.shared import Panel, acting, looking, page, panel_of
 from bench.run.sentences import duration
+from bench.services.requests.measuring import RunRequest
 from drivers.clock import utc_now
 
+FORM: Final = ("procedure", "bench", "unit", "operator", "name", "dry_run")
+"""The fields of `RunRequest` that the form asks for; label, help and kind come from the request."""
+IN_THE_PANEL: Final = {"dry_run": ("Practice", "Simulated instruments, and you answer.")}
+"""Label and help of fields that mean more in the panel than at a terminal."""
+FOLDERS: Final = {"procedures": PROCEDURES, "bench_files": CONFIG}
+"""Fields that are chosen among files, by what completes them: the folder of the files."""
 LONGEST: Final = 100
 BEGINS_WITHIN: Final = timedelta(seconds=30)
 
@@ -40,9 +47,8 @@ BEGINS_WITHIN: Final = timedelta(seconds=30)
 def form(request: Request) -> Response:
     """Show what can be chosen; `after` is a run whose diagnosis proposes what to measure."""
     person = _operator(request)
-    given = {
-        name: request.query_params.get(name, "")[:LONGEST] for name in ("procedure", "bench", "unit", "after")
-    }
+    given = {name: request.query_params.get(name, "")[:LONGEST] for name in (*FORM, "after")}
+    given["operator"] = person.name
     after = None
     if given["after"]:
         after = panel_of(request).runs.run(given["after"])
@@ -51,12 +57,32 @@ def form(request: Request) -> Response:
     return page(
         request,
         "start.html.j2",
-        procedures=list(choices(PROCEDURES)),
-        benches=list(choices(CONFIG)),
+        fields=[form_field(name) for name in FORM],
         given=given,
         after=after and f"{OF_RUN}{after.name}",
-        operator=person.name,
     )
+
+
+@dataclass(frozen=True)
+class FormField:
+    """A field of the form: `kind` is "choice", "flag" or "text"; `choices` are the names of files."""
+
+    name: str
+    label: str
+    help: str
+    kind: str
+    choices: tuple[str, ...] = ()
+
+
+def form_field(name: str) -> FormField:
+    """Return the field of the form that asks for a field of `RunRequest`."""
+    (of,) = (one for one in fields_of(RunRequest) if one.name == name)
+    label, words = IN_THE_PANEL.get(name, ("", ""))
+    label = label or name.replace("_", " ").capitalize()
+    folder = FOLDERS.get(of.option.completes or "")
+    if folder is not None:
+        return FormField(name, label, "", "choice", tuple(choices(folder)))
+    return FormField(name, label, words or of.option.help, "flag" if of.type is bool else "text")
 
 
 async def check(request: Request) -> Response:
@@ -68,17 +94,20 @@ async def check(request: Request) -> Response:
 
 
 def _wished(panel: Panel, person: Person, sent: dict[str, str]) -> WishFolder:
-    wanted = Wanted(
-        procedure=str(chosen_procedure(sent.get("procedure", ""), panel.runs).absolute()),
-        bench=str(chosen_bench(sent.get("bench", ""), panel.runs).absolute()),
-        unit=_text(sent, "unit"),
-        operator=_text(sent, "operator") or person.name,
-        name=_text(sent, "name"),
-        practice=sent.get("practice", "") == "yes",
-    ).hashed()
+    given: dict[str, str | bool] = {
+        "procedure": str(chosen_procedure(sent.get("procedure", ""), panel.runs).absolute()),
+        "bench": str(chosen_bench(sent.get("bench", ""), panel.runs).absolute()),
+        "operator": person.name,
+    }
+    for one in map(form_field, FORM):
+        if one.kind == "flag":
+            given[one.name] = sent.get(one.name, "") == "yes"
+        elif one.kind == "text" and (text := _text(sent, one.name)):
+            given[one.name] = text
+    wanted = Wanted(given).hashed()
     name_of(wanted, panel.runs)
     wish = panel.wishes.new(wanted)
-    start([str(wish.path.absolute())], wish.path / "trying.log", program=("-m", "bench.panel.trying"))
+    start([str(wish.path.absolute())], wish.path / "trying.log", program=("-m", "bench.panel.launching"))
     return wish
 
 
@@ -91,7 +120,7 @@ def found(request: Request) -> Response:
         request,
         "started.html.j2",
         wish=wish,
-        wanted=wish.wanted(),
+        wanted=wish.wanted().request,
         found=told,
         times=_times(told),
         working=told.stage != "done" and (wish.at_work() or _just_begun(wish)),

@@ -10,12 +10,11 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from bench.panel.access import Refusal, Role
-from bench.panel.acting import acting, looking, panel_of
 from bench.panel.folder import Issued, read_page
 from bench.panel.launching import NEXT
 from bench.panel.launching import diagnose as begin
-from bench.panel.pages.shown import APART, page
 from bench.panel.results import DIAGNOSIS, REPORT, figure_of, is_plain, results_of
+from bench.panel.shared import APART, acting, looking, page, panel_of
 from bench.run.events import RunState
 from bench.run.folder import Run
 from bench.services.errors import Refused

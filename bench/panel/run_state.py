@@ -15,8 +15,8 @@ from bench.base.text import duration as exact_duration
 from bench.config.procedure.plan import Mount, Read, Settle, Step, Turn, Wait
 from bench.config.procedure.steps import precision_in_words
 from bench.model.geometry import Installation
-from bench.panel.following.events import Seen
 from bench.panel.mounting_drawing import mounting, turn
+from bench.panel.run_events import Seen
 from bench.readings.reading import Reading
 from bench.run.events import ENDED, Event, RunState
 from bench.run.person import REASON, AskedPrompt

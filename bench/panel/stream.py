@@ -17,8 +17,8 @@ from bench.base.numbers import without_infinity
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.config.procedure.plan import Mount, Plan, Read
-from bench.panel.following.events import Seen, Tail
-from bench.panel.following.snapshot import About, snapshot
+from bench.panel.run_events import Seen, Tail
+from bench.panel.run_state import About, snapshot
 from bench.readings.reading import Reading
 from bench.run.early_warning import watcher_of
 from bench.run.events import Event, EventType, RecordError
@@ -203,7 +203,7 @@ class Follower:
         return self._residuals.waiting
 
     def state(self) -> dict[str, Any]:
-        """Return what is told of the run now, see `bench.panel.following.snapshot`."""
+        """Return what is told of the run now, see `bench.panel.run_state`."""
         if (begun := self._seen.begun) is not None:
             self._time_left.begin(begun.step, begun.bench_s)
         return snapshot(

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from bench.panel.following.events import Tail
-from bench.panel.following.stream import Follower, Followers
+from bench.panel.run_events import Tail
+from bench.panel.stream import Follower, Followers
 from bench.run.events import EVENTS, RecordError
 from bench.run.record import Record
 from drivers.clock import utc_now
 from sim.world.clock import VirtualClock
 
-RECORDS = Path(__file__).parents[2] / "data" / "records"
+RECORDS = Path(__file__).parents[1] / "data" / "records"
 MOMENTS = ("now",)
 
 
@@ -220,8 +220,8 @@ def test_of_a_long_record_the_beginnings_of_old_steps_are_passed_over_and_nothin
 ):
     append(growing, b"".join(lines[:100]))
     whole, points = all_of(Follower(growing))
-    monkeypatch.setattr("bench.panel.following.events.KEPT_LINES", 8)
-    monkeypatch.setattr("bench.panel.following.events.KEPT_BYTES", 12_000)
+    monkeypatch.setattr("bench.panel.run_events.KEPT_LINES", 8)
+    monkeypatch.setattr("bench.panel.run_events.KEPT_BYTES", 12_000)
     numbers = [event.number for event in Tail(growing).new()]
     assert len(numbers) < 80
     assert numbers[-20:] == list(range(81, 101))

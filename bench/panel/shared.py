@@ -1,0 +1,236 @@
+"""What all pages share: the panel itself, who asks and what is sent, templates and files, and refusals."""
+
+from __future__ import annotations
+
+import logging
+import secrets
+from collections import Counter
+from functools import cache
+from http import HTTPStatus
+from importlib.resources import files
+from typing import Any, Final
+from urllib.parse import parse_qsl, quote
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
+
+from bench.base.computing import missing
+from bench.base.files import from_text
+from bench.base.numbers import typeset
+from bench.base.text import bounded, visible
+from bench.panel.access import STATE, Access, Person, Refusal, Role, Settings
+from bench.panel.folder import Certificates, RunsFolder, RunsTable
+from bench.panel.holding import read_holding
+from bench.panel.launching import Started, Wishes
+from bench.panel.stream import Followers
+from bench.run.events import sha256
+
+
+class Panel:
+    """One panel over one folder of runs."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.runs = RunsFolder(settings.runs)
+        self.table = RunsTable(self.runs)
+        self.wishes = Wishes(settings.runs / STATE / "wishes")
+        self.diagnosing: dict[str, Started] = {}
+        self.followers = Followers(lambda folder: {"control": read_holding(folder).to_json()})
+        self.certificates = Certificates(settings.laboratory)
+        self.streams: Counter[str] = Counter()
+        self.access = Access(settings.runs / STATE)
+
+
+LOG: Final = logging.getLogger("uvicorn.error")
+"""Where the server writes its warnings, and the panel those about a client."""
+
+MOST_FIELDS: Final = 40
+CSRF_HEADER: Final = "x-csrf"
+
+
+def panel_of(request: Request) -> Panel:
+    """Return the panel that a request is made to."""
+    panel: Panel = request.app.state.panel
+    return panel
+
+
+def person_of(request: Request) -> Person | None:
+    """Return who is signed in, None for a stranger."""
+    panel = panel_of(request)
+    return panel.access.person(request.cookies.get(panel.settings.cookie, ""))
+
+
+def looking(request: Request) -> Person:
+    """Return who looks. Raises `Refusal` for a stranger."""
+    person = person_of(request)
+    if person is None:
+        raise Refusal(401, "sign in first")
+    return person
+
+
+async def acting(request: Request, least: Role) -> tuple[Person, dict[str, str]]:
+    """Return who asks for a change, and the fields sent. Raises `Refusal` for who may not, or a foreign form."""
+    person = looking(request)
+    sent = await fields(request)
+    given = request.headers.get(CSRF_HEADER) or sent.pop("csrf", "")
+    if not secrets.compare_digest(given.encode(errors="replace"), person.csrf.encode()):
+        raise Refusal(403, "this form is of another session; load the page again")
+    if not person.role.includes(least):
+        raise Refusal(403, f"{person.name} is signed in as {person.role}; this takes the role {least}")
+    return person, sent
+
+
+async def fields(request: Request) -> dict[str, str]:
+    """Return the fields of a form, or of a JSON object of texts. Raises `Refusal` for anything else."""
+    try:
+        body = await request.body()
+    except ClientDisconnect:
+        LOG.warning("a request ended before its body; further ones within a minute are not written here")
+        raise Refusal(400, "the request ended before its body") from None
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    try:
+        if kind == "application/json":
+            given = from_text(body)
+        elif kind == "application/x-www-form-urlencoded" or not body:
+            given = dict(parse_qsl(body.decode(), keep_blank_values=True, max_num_fields=MOST_FIELDS))
+        else:
+            raise Refusal(415, "a form or a JSON object is taken")
+    except ValueError:
+        raise Refusal(400, "what was sent is no form and no JSON that can be read") from None
+    if isinstance(given, dict) and len(given) > MOST_FIELDS:
+        raise Refusal(400, f"at most {MOST_FIELDS} fields are taken")
+    if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
+        raise Refusal(400, "a JSON object whose values are texts is taken")
+    return given
+
+
+REPORT_STYLE: Final = "report.css"
+"""The style of the reports, which the panel's own stands on."""
+
+ASSETS: Final = {
+    REPORT_STYLE: "text/css; charset=utf-8",
+    "panel.css": "text/css; charset=utf-8",
+    "panel.js": "text/javascript; charset=utf-8",
+    "waiting.js": "text/javascript; charset=utf-8",
+    "plots.js": "text/javascript; charset=utf-8",
+    "icon.svg": "image/svg+xml",
+}
+"""What pages load, with its kind. They load nothing else, from nowhere else."""
+
+
+@cache
+def read_asset(name: str) -> bytes:
+    """Return what is loaded by that name. Raises `KeyError` for any but the `ASSETS`."""
+    if name not in ASSETS:
+        raise KeyError(name)
+    if name == REPORT_STYLE:
+        return (files("bench.results") / "templates" / "style.css.j2").read_bytes()
+    return (files("bench.panel") / "static" / name).read_bytes()
+
+
+@cache
+def asset(name: str) -> str:
+    """Return the address of an asset, which changes with what is in it."""
+    return f"/static/{sha256(read_asset(name))[:12]}/{name}"
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("bench.panel", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["typeset"] = typeset
+    environment.globals["asset"] = asset
+    return environment
+
+
+def load() -> None:
+    """Read and compile all templates and assets, so that no first page has to."""
+    for name in ASSETS:
+        asset(name)
+    for name in _environment().list_templates():
+        _environment().get_template(name)
+
+
+def rendered(name: str, **content: Any) -> str:
+    """Return the page that a template makes of its content: all escaped, no character in it acts unseen.
+
+    What a page does not give to its template is an error.
+    """
+    return visible(_environment().get_template(name).render(**content))
+
+
+KEPT = {"cache-control": "public, max-age=31536000, immutable"}
+
+
+async def send_asset(request: Request) -> Response:
+    """Send a file of ours; what was in it under another address is gone."""
+    name = request.path_params["name"]
+    if name not in ASSETS or request.scope["path"] != asset(name):
+        raise Refusal(404, "there is no such file")
+    return Response(read_asset(name), media_type=ASSETS[name], headers=KEPT)
+
+
+APART: Final = {
+    "content-security-policy": "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+}
+"""Of a page that stands by itself, as a file: its own style, and nothing of it acts."""
+
+
+def page(request: Request, name: str, *, status: int = 200, **content: Any) -> HTMLResponse:
+    """Return the page that a template makes of its content, with `person` and `csrf` of who is signed in.
+
+    `catalogue` says whether there are pages on units.
+    """
+    if (person := person_of(request)) is not None:
+        shown = bool(panel_of(request).settings.catalogue)
+        content = {"person": person, "csrf": person.csrf, "catalogue": shown, **content}
+    return HTMLResponse(rendered(name, **content), status_code=status)
+
+
+def wants_json(request: Request) -> bool:
+    """Whether a script asks: it says so, or sends JSON."""
+    asked = request.headers.get("accept", "") + request.headers.get("content-type", "")
+    return "application/json" in asked or "text/event-stream" in asked
+
+
+def refused(request: Request, refusal: Refusal) -> Response:
+    """Answer with why a request is refused; who only has to sign in is led there."""
+    if wants_json(request):
+        return JSONResponse({"problem": visible(bounded(refusal.text))}, status_code=refusal.status)
+    if refusal.status == HTTPStatus.UNAUTHORIZED and request.method == "GET":
+        return RedirectResponse(
+            f"/sign-in?next={quote(request.scope['path'], errors='replace')}", status_code=303
+        )
+    title = HTTPStatus(refusal.status).phrase
+    return page(request, "refused.html.j2", status=refusal.status, title=title, text=bounded(refusal.text))
+
+
+def by_framework(request: Request, error: Exception) -> Response:
+    """Answer for what the framework refuses: an address or a method that there is not."""
+    status = error.status_code if isinstance(error, HTTPException) else 500
+    texts = {404: "there is no such page", 405: "this cannot be asked of this page"}
+    return refused(request, Refusal(status, texts.get(status, HTTPStatus(status).phrase)))
+
+
+def by_refusal(request: Request, error: Exception) -> Response:
+    """Answer for a refusal of ours."""
+    return refused(request, error if isinstance(error, Refusal) else Refusal(400, str(error)))
+
+
+def by_record(request: Request, error: Exception) -> Response:
+    """Answer for a record or a file that cannot be read or written, or a package that is not installed."""
+    if isinstance(error, OSError):
+        return refused(request, Refusal(409, f"{error.filename or 'a file'}: {error.strerror or error}"))
+    if isinstance(error, ImportError):
+        if not (told := missing(error)):
+            raise error
+        return refused(request, Refusal(409, told))
+    return refused(request, Refusal(409, str(error)))
