@@ -16,9 +16,10 @@ import numpy as np
 from scipy import stats
 
 from bench.base.arrays import Mask
-from bench.history.capability import YEAR, Apart, capability
+from bench.history.capability import YEAR, capability
 from bench.history.equivalence import Measured
 from bench.stats.crossed_effects import EXCESS, Crossing, fit
+from bench.stats.unit_histories import Spread
 from benchmarks.campaign import arguments
 
 CASES = (
@@ -60,22 +61,22 @@ def table(runs: int, seed: int) -> Iterator[str]:
     yield "|---|---|---|---|---|---|---|---|---|"
     for units, each, benches, sizes in CASES:
         rng = np.random.default_rng([seed, units, *(int(10 * size) for size in sizes)])
-        apart: list[Apart] = []
+        spreads: list[Spread] = []
         before = []
         for _ in range(runs):
             made = laboratory(rng, units, each, benches, sizes)
-            apart += capability(made).apart
+            spreads += capability(made).spreads
             unit, bench = (np.unique(labels, return_inverse=True)[1] for labels in (made.unit, made.bench))
             crossing = Crossing(unit, bench, np.zeros_like(unit))
             before.append(
                 fit(crossing, np.ascontiguousarray(made.vector[:, 0]), made.variance[:, 0]).sizes[EXCESS]
             )
-        lower = np.array([one.scatter_least <= sizes[0] for one in apart])
-        upper = np.array([one.scatter_most >= sizes[0] for one in apart])
+        lower = np.array([one.scatter_least <= sizes[0] for one in spreads])
+        upper = np.array([one.scatter_most >= sizes[0] for one in spreads])
         yield (
             f"| {units} × {each} | {sizes[0]:g} | {sizes[1]:g} | {sizes[2]:g} | {held(lower)} | {held(upper)} | "
-            f"{np.mean([one.scatter for one in apart]):.2f} | {np.mean(before):.2f} | "
-            f"{100 * np.mean([one.shown for one in apart]):.0f} % |"
+            f"{np.mean([one.scatter for one in spreads]):.2f} | {np.mean(before):.2f} | "
+            f"{100 * np.mean([one.shown for one in spreads]):.0f} % |"
         )
 
 

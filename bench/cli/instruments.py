@@ -165,7 +165,7 @@ def _serve(request: SimulateRequest) -> int:
     from bench.config.bench_file.file import load_bench
     from bench.run.assembly.served import served_bench
     from bench.services.bench_selection import bench_path
-    from bench.services.simulated_truth import simulated_truth
+    from bench.services.own_effects import simulated_truth
 
     speed, host, port = request.speed, request.host, request.port
     if not 0.0 < speed < math.inf:

@@ -2,364 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-from scipy import optimize, special, stats
+from scipy import stats
 
-from bench.base.arrays import Floats, Ints
+from bench.base.arrays import Floats
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
 from bench.history.equivalence import Measured, coded
 from bench.model.geometry import COEFFICIENTS
 from bench.stats.crossed_effects import Crossing
-
-BENCH, SCATTER, RATE, WALK = 0, 1, 2, 3
-STEADY: Final = (BENCH, SCATTER)
-SHOWN_P: Final = 0.05
-"""A drift of units is taken out where chance gives so much likelihood less often than this."""
-LONGEST: Final = (128, 64, 32, 16)
-"""Of a unit with more runs so many, evenly over its history, are taken: the first that is not too much work."""
-MOST_WORK: Final = 5e7
-"""The cubes of runs, over all units: a likelihood then takes about a tenth of a second."""
-ONE_SIDED: Final = 0.5 * 1.6449**2
-"""What the logarithm of the likelihood loses at a limit that is kept with 95 %."""
-GONE: Final = 8.0
-"""Sizes that lose more are not reckoned with."""
-NODES: Final = 24
-MOST_TIMES: Final = 1e3
-LEAST_PART: Final = 1e-6
-"""A variance below this part of its scale is as good as none."""
-
-
-@dataclass(frozen=True)
-class Alike:
-    """The m units with n runs each: places `rows` (m, n) in the table, in order of time; r = n - 1 contrasts.
-
-    `contrast` (r, n); contrasts of time `time` (m, r), of a walk of size one `walk` (m, r, r), of benches `bench`
-    (m, r, B).
-    """
-
-    rows: Ints
-    contrast: Floats
-    time: Floats
-    walk: Floats
-    bench: Floats
-
-
-@dataclass(frozen=True)
-class Histories:
-    """Who was measured where and when: contrasts within units; `runs` (U,) of each unit, `benches` their number.
-
-    Of a unit `longest` runs at the most are taken.
-    """
-
-    alike: tuple[Alike, ...]
-    runs: Ints
-    benches: int
-    longest: int
-
-    @property
-    def dof(self) -> int:
-        """Contrasts in all."""
-        return sum(len(one.rows) * len(one.contrast) for one in self.alike)
-
-
-def histories(unit: Ints, bench: Ints, years: Floats) -> Histories:
-    """Return the histories of units (n,) on benches (n,), both counted from 0, at `years` (n,) from any day on."""
-    order = np.lexsort((years, unit))
-    runs = np.bincount(unit)
-    start = np.cumsum(runs) - runs
-    light = [size for size in LONGEST if np.sum(np.minimum(runs, size).astype(float) ** 3) <= MOST_WORK]
-    longest = light[0] if light else LONGEST[-1]
-    benches = int(bench.max()) + 1
-    found = []
-    for many in np.unique(runs[runs > 1]):
-        kept = np.unique(np.linspace(0, many - 1, min(many, longest)).round().astype(np.int64))
-        rows = order[start[runs == many][:, None] + kept]
-        n = len(kept)
-        contrast = np.linalg.qr(np.eye(n) - 1.0 / n)[0][:, : n - 1].T
-        time = years[rows] - years[rows][:, :1]
-        walked = np.minimum(time[:, :, None], time[:, None, :])
-        found.append(
-            Alike(
-                rows, contrast, time @ contrast.T, contrast @ walked @ contrast.T,
-                contrast @ np.eye(benches)[bench[rows]],
-            )
-        )  # fmt: skip
-    return Histories(tuple(found), runs, benches, longest)
-
-
-@dataclass(frozen=True)
-class Point:
-    """The restricted likelihood at variances (4,) of benches, scatter, rates and walks, a constant apart.
-
-    `slope` (4,) by the variances, `information` (4, 4) the average one.
-    """
-
-    variances: Floats
-    likelihood: float
-    slope: Floats
-    information: Floats
-
-
-Weighed = tuple[Alike, Floats, Floats, Floats]
-"""Of units alike: contrasts of values and benches, the inverse of their covariance, and both multiplied."""
-
-
-@dataclass(frozen=True)
-class Within:
-    """One coefficient: values `y` (n,) with stated variances (n,)."""
-
-    of: Histories
-    y: Floats
-    variance: Floats
-
-    @cached_property
-    def _data(self) -> list[tuple[Alike, Floats, Floats]]:
-        """Contrasts of values, first for the sums over benches, and their stated covariance, by group of units."""
-        y = self.y - np.median(self.y)
-        return [
-            (
-                one,
-                np.concatenate([(y[one.rows] @ one.contrast.T)[..., None], one.bench], axis=2),
-                np.einsum(
-                    "rn,mn,sn->mrs", one.contrast, self.variance[one.rows], one.contrast, optimize=True
-                ),
-            )
-            for one in self.of.alike
-        ]
-
-    @cached_property
-    def scales(self) -> Floats:
-        """Scales (4,) of the variances."""
-        dof = self.of.dof
-        square = sum(float(np.sum(seen[..., 0] ** 2)) for _, seen, _ in self._data) / dof
-        square = max(square, float(np.median(self.variance)))
-        time = sum(float(np.sum(one.time**2)) for one, _, _ in self._data) / dof
-        walk = sum(float(np.einsum("mrr->", one.walk)) for one, _, _ in self._data) / dof
-        return np.array([square, square, square / max(time, 1e-12), square / max(walk, 1e-12)])
-
-    def at(self, variances: Floats) -> Point:
-        """Return likelihood, its slope and the information at variances (4,)."""
-        likelihood, kept, G, h, X = self._solved(variances)
-        return Point(variances, likelihood, *_curved(kept, G, h, X))
-
-    def likelihood(self, variances: Floats) -> float:
-        """Return the restricted likelihood at variances (4,), a constant apart."""
-        return self._solved(variances)[0]
-
-    def _solved(self, variances: Floats) -> tuple[float, list[Weighed], Floats, Floats, Floats]:
-        bench, scatter, rate, walk = variances
-        size = self.of.benches
-        sums, logs = np.zeros((size + 1, size + 1)), 0.0
-        kept = []
-        for one, seen, stated in self._data:
-            r = len(one.contrast)
-            V = (
-                stated
-                + scatter * np.eye(r)
-                + walk * one.walk
-                + rate * one.time[:, :, None] * one.time[:, None, :]
-            )
-            weight = np.linalg.inv(V)
-            logs += float(np.sum(np.linalg.slogdet(V)[1]))
-            weighed = weight @ seen
-            sums += _over(seen, weighed)
-            kept.append((one, seen, weight, weighed))
-        G, h = sums[1:, 1:], sums[1:, 0]
-        A = np.eye(size) + bench * G
-        X = bench * np.linalg.inv(A)
-        likelihood = -0.5 * (logs + float(np.linalg.slogdet(A)[1]) + float(sums[0, 0]) - float(h @ X @ h))
-        return likelihood, kept, G, h, X
-
-    def fit(self, kept: Sequence[int], scatter: float = 0.0) -> Point:
-        """Return the greatest likelihood where `kept` sizes alone are above zero, or `scatter` is a variance."""
-        scale = self.scales
-        places = list(kept)
-
-        def full(parts: Floats) -> Floats:
-            variances = np.array([0.0, scatter, 0.0, 0.0])
-            variances[places] = scale[places] * parts
-            return variances
-
-        def cost(parts: Floats) -> tuple[float, Floats]:
-            point = self.at(full(parts))
-            return -point.likelihood, -point.slope[places] * scale[places]
-
-        found = optimize.minimize(
-            cost, np.full(len(places), 0.25), jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(places),
-            options={"ftol": 1e-9, "gtol": 1e-3},
-        )  # fmt: skip
-        return self.at(full(np.where(found.x < LEAST_PART, 0.0, found.x)))
-
-
-def _over(a: Floats, b: Floats) -> Floats:
-    """Return the sums of products over units and contrasts of (m, r, i) and (m, r, j), (i, j)."""
-    return np.asarray(a.reshape(-1, a.shape[2]).T @ b.reshape(-1, b.shape[2]))
-
-
-def _curved(kept: Sequence[Weighed], G: Floats, h: Floats, X: Floats) -> tuple[Floats, Floats]:
-    """Return slope (4,) and average information (4, 4) by the variances, of parts weighed already."""
-    size = len(h)
-    traces, squares = np.zeros(4), np.zeros(4)
-    inner, across = np.zeros((4, 4)), np.zeros((4, size))
-    traces[BENCH] = float(np.trace(G - G @ X @ G))
-    left = h - G @ (X @ h)
-    squares[BENCH] = float(left @ left)
-    for one, seen, weight, weighed in kept:
-        z = weighed[..., 1:]
-        p = weighed[..., 0] - z @ (X @ h)
-        walked = (one.walk @ p[..., None])[..., 0]
-        along = np.sum(one.time * p, axis=1)
-        moved = np.stack([seen[..., 1:] @ left, p, one.time * along[:, None], walked], axis=-1)
-        squares[1:] += np.sum(p**2), np.sum(along**2), np.sum(p * walked)
-        rates = (one.time[:, None, :] @ z)[:, 0, :]
-        traces[SCATTER] += np.einsum("mrr->", weight) - np.sum(X * _over(z, z))
-        traces[RATE] += np.sum(one.time * (weight @ one.time[..., None])[..., 0])
-        traces[RATE] -= np.sum(X * (rates.T @ rates))
-        traces[WALK] += np.sum(weight * one.walk)
-        traces[WALK] -= np.sum(X * _over(z, one.walk @ z))
-        weighed_moves = weight @ moved
-        inner += _over(moved, weighed_moves)
-        across += _over(moved, z)
-    return 0.5 * (squares - traces), 0.5 * (inner - across @ X @ across.T)
-
-
-@dataclass(frozen=True)
-class Apart:
-    """What a laboratory's calibrations scatter by when units' own drift is taken out, 1 sigma each.
-
-    `scatter` beyond the stated u: the root of the mean square over the sizes that the likelihood leaves, so that
-    few calibrations make it larger; between `scatter_least` and `scatter_most` with 90 %.
-    `bench` with `bench_most` likewise, as the likelihood has it. `rate` (a year) and `walk` (in a year) are what
-    units drift by, zero where `p`, the probability of so much drift by chance, does not show any.
-    """
-
-    scatter: float
-    scatter_least: float
-    scatter_most: float
-    bench: float
-    bench_most: float
-    rate: float
-    walk: float
-    p: float
-
-    @property
-    def shown(self) -> bool:
-        """Whether units drift beyond chance."""
-        return self.p < SHOWN_P
-
-
-def apart(within: Within, *, several: bool, drifts: bool = True) -> Apart:
-    """Return scatter and benches (where there are `several`) apart from what units drift by.
-
-    A rate or a walk that is not shown is not taken out: what may be either counts as scatter; all of it, where
-    units have too few runs to tell what `drifts`.
-    """
-    first = STEADY if several else (SCATTER,)
-    steady = within.fit(first)
-    moving = within.fit((*first, RATE, WALK)) if drifts else steady
-    gained = _gained(moving, steady)
-    # two sizes at the ends of their ranges: a quarter of nothing, a half of one degree, a quarter of two
-    p = 0.5 * float(special.chdtrc(1, gained)) + 0.25 * float(special.chdtrc(2, gained)) if gained else 1.0
-    chosen, free = (moving, (*first, RATE, WALK)) if p < SHOWN_P else (steady, first)
-    for kept in (RATE, WALK) if p < SHOWN_P else ():
-        simpler = within.fit((*first, kept))
-        if 0.5 * special.chdtrc(1, _gained(moving, simpler)) >= SHOWN_P:
-            chosen, free = simpler, (*first, kept)
-            break
-    spread = _profile(within, chosen, SCATTER, free)
-    mean = spread.mean()
-    bench_most = _profile(within, chosen, BENCH, free).most() if several else float("nan")
-    sizes = np.sqrt(chosen.variances)
-    return Apart(
-        mean, _least(within, moving, first, mean), spread.most(), float(sizes[BENCH]) if several else float("nan"),
-        bench_most, float(sizes[RATE]), float(sizes[WALK]), p,
-    )  # fmt: skip
-
-
-def _gained(more: Point, fewer: Point) -> float:
-    return 2.0 * max(0.0, more.likelihood - fewer.likelihood)
-
-
-def _least(within: Within, moving: Point, first: Sequence[int], mean: float) -> float:
-    """Return what the scatter is above with 95 %, whatever of it may be a drift; 0 where none is shown."""
-    others = [j for j in (*first, RATE, WALK) if j != SCATTER]
-    end = float(np.sqrt(moving.variances[SCATTER]))
-
-    def lacking(size: float) -> float:
-        return moving.likelihood - within.fit(others, scatter=size**2).likelihood - ONE_SIDED
-
-    if end <= 0.0 or lacking(0.0) <= 0.0:
-        return 0.0
-    return min(mean, float(optimize.brentq(lacking, 0.0, end, xtol=0.02 * end)))
-
-
-@dataclass(frozen=True)
-class _Profile:
-    """The likelihood along one size, `which`; the other variances `follow` (o,) it, as the information foretells.
-
-    That is exact near the greatest likelihood, `best`.
-    """
-
-    within: Within
-    best: Point
-    which: int
-    others: list[int]
-    follow: Floats
-
-    @property
-    def middle(self) -> float:
-        return float(np.sqrt(self.best.variances[self.which]))
-
-    @property
-    def scale(self) -> float:
-        return float(np.sqrt(self.within.scales[self.which]))
-
-    def lost(self, size: float) -> float:
-        """Return what the logarithm of the likelihood loses at a size."""
-        variances = self.best.variances.copy()
-        variances[self.others] += self.follow * (size**2 - variances[self.which])
-        variances[self.which] = size**2
-        return self.best.likelihood - self.within.likelihood(np.maximum(variances, 0.0))
-
-    def beyond(self, loss: float) -> float:
-        """Return some size at which so much or more is lost; infinite where there is none to speak of."""
-        end = max(1.2 * self.middle, 0.2 * self.scale)
-        while self.lost(end) < loss:
-            end *= 1.5
-            if end > MOST_TIMES * self.scale:
-                return float("inf")
-        return end
-
-    def most(self) -> float:
-        """Return what the size is below with 95 %."""
-        end = self.beyond(ONE_SIDED)
-        if not np.isfinite(end):
-            return end
-        return float(optimize.brentq(lambda size: self.lost(size) - ONE_SIDED, self.middle, end, rtol=0.01))
-
-    def mean(self) -> float:
-        """Return the root of the mean square over what the likelihood leaves; the greatest where it leaves all."""
-        end = self.beyond(GONE)
-        if not np.isfinite(end):
-            return self.middle
-        sizes = np.linspace(0.0, end, NODES)
-        loss = np.array([self.lost(size) for size in sizes])
-        weight = np.exp(loss.min() - loss)
-        return float(np.sqrt(np.sum(weight * sizes**2) / np.sum(weight)))
-
-
-def _profile(within: Within, best: Point, which: int, free: Sequence[int]) -> _Profile:
-    others = [j for j in free if j != which]
-    information = best.information
-    follow = -np.linalg.pinv(information[np.ix_(others, others)]) @ information[others, which]
-    return _Profile(within, best, which, others, follow)
-
+from bench.stats.unit_histories import Histories, Spread, Within, histories, spread_of
 
 EVERYDAY: Final = 0.5
 """The share of everyday calibrations that reach what is stated."""
@@ -377,15 +32,15 @@ YEAR: Final = np.timedelta64(31_557_600, "s")
 class Capability:
     """The capability, (12,) each: `stated` u at the share `quantile` with its limit `stated_most` of 95 %.
 
-    `apart` (12 items) has the scatter of calibrations of a unit in excess of what is stated, what benches differ by
-    and what units drift by. `below` counts calibrations whose stated U is below the capability: their certificates
-    are to state the latter.
+    `spreads` (12 items) has the scatter of calibrations of a unit in excess of what is stated, what benches differ
+    by and what units drift by. `below` counts calibrations whose stated U is below the capability: their
+    certificates are to state the latter.
     """
 
     quantile: float
     stated: Floats
     stated_most: Floats
-    apart: tuple[Apart, ...]
+    spreads: tuple[Spread, ...]
     below: Floats
     counts: dict[str, Any]
     signal: str
@@ -395,12 +50,12 @@ class Capability:
     @property
     def scatter(self) -> Floats:
         """Scatter in excess of what is stated, 1 sigma, (12,)."""
-        return np.array([one.scatter for one in self.apart])
+        return np.array([one.scatter for one in self.spreads])
 
     @property
     def bench(self) -> Floats:
         """What benches differ by, 1 sigma, (12,); NaN where there is one bench."""
-        return np.array([one.bench for one in self.apart])
+        return np.array([one.bench for one in self.spreads])
 
     @property
     def u(self) -> Floats:
@@ -427,7 +82,7 @@ def capability(measured: Measured, quantile: float = EVERYDAY) -> Capability:
     of = histories(unit, bench, (measured.when - measured.when.min()) / YEAR)
     told = bool(np.any(of.runs >= LEAST_RUNS))
     found = tuple(
-        apart(Within(of, y, v), several=several, drifts=told)
+        spread_of(Within(of, y, v), several=several, drifts=told)
         for y, v in zip(measured.vector.T, measured.own_variance.T, strict=True)
     )
     stated = np.sort(np.sqrt(measured.variance), axis=0)
@@ -446,7 +101,7 @@ def capability(measured: Measured, quantile: float = EVERYDAY) -> Capability:
     return Capability(**{**shown.__dict__, "below": below.astype(float)})
 
 
-def _notes(found: tuple[Apart, ...], of: Histories, *, several: bool) -> tuple[str, ...]:
+def _notes(found: tuple[Spread, ...], of: Histories, *, several: bool) -> tuple[str, ...]:
     runs = of.runs
     few = int(np.sum(runs < LEAST_RUNS))
     notes = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Final
 
@@ -25,6 +25,8 @@ from bench.history.run_sums import (
     pooled_noise,
     scatter_of,
 )
+from bench.stats import holm
+from bench.stats.reml import scoring_step
 
 LEAST: Final = 1e-8
 """Least variance, in terms of what was stated: there it is as good as none."""
@@ -149,14 +151,7 @@ def fitted(body: Body, beliefs: Beliefs, start: Floats | None = None) -> Floats:
     theta = np.full(len(beliefs.centre), START) if start is None else np.maximum(start, 100 * LEAST)
     best, damping = at(body, theta, beliefs), 0.0
     for _ in range(ROUNDS):
-        slope = best.score * theta
-        curvature = best.information * np.outer(theta, theta)
-        free = (theta > LEAST) | (slope > 0)
-        own = curvature[np.ix_(free, free)]
-        own = own + np.diag((1e-6 + damping) * np.diag(own) + 1e-12 * np.trace(own) + 1e-300)
-        step = np.zeros(len(theta))
-        step[free] = np.linalg.solve(own, slope[free])
-        moved = np.maximum(theta * np.clip(1.0 + step, 1 / MOST_CHANGE, MOST_CHANGE), LEAST)
+        moved = scoring_step(theta, best.score, best.information, LEAST, 1e-6 + damping, 1e-12, MOST_CHANGE)
         there = at(body, moved, beliefs)
         if there.minus_two_log > best.minus_two_log + 1e-9:
             damping = max(4.0 * damping, 0.5)
@@ -197,18 +192,10 @@ SCATTER: Final = "the scatter of its repeats"
 
 def odd_runs(runs: list[RunFit], body: Body, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
     """Return for every run and question how odd it is, p with all looks counted, the oddest first."""
-    found = [*_angles(body, theta, beliefs), *_fit(body, at(body, theta, beliefs).means)]
-    found += _scatter(runs)
-    return _holm(found)
-
-
-def _holm(found: list[Contradiction]) -> list[Contradiction]:
-    ordered = sorted(found, key=lambda one: one.p)
-    p, adjusted = 0.0, []
-    for k, one in enumerate(ordered):
-        p = max(p, min(1.0, (len(ordered) - k) * one.p))
-        adjusted.append(Contradiction(one.run, one.what, one.size, p))
-    return adjusted
+    found = [*_angles(body, theta, beliefs), *_fit(body, at(body, theta, beliefs).means), *_scatter(runs)]
+    found.sort(key=lambda one: one.p)
+    adjusted = holm(np.array([one.p for one in found]))
+    return [replace(one, p=p) for one, p in zip(found, adjusted.tolist(), strict=True)]
 
 
 def _angles(body: Body, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:

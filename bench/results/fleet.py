@@ -414,13 +414,13 @@ def capability_result(found: capability.Capability, notes: Sequence[str]) -> Cap
         "stated": _limited(found.stated, found.stated_most),
         "scatter_over_time": [
             ScatterPart(value=one.scatter, at_least=one.scatter_least, at_most=one.scatter_most)
-            for one in found.apart
+            for one in found.spreads
         ],
         "between_benches": [
             None if math.isnan(one.bench) else LimitedPart(value=one.bench, at_most=one.bench_most)
-            for one in found.apart
+            for one in found.spreads
         ],
-        "drift_of_units": [DriftOfUnits.from_object(one, taken_out=one.shown) for one in found.apart],
+        "drift_of_units": [DriftOfUnits.from_object(one, taken_out=one.shown) for one in found.spreads],
         "calibrations_that_state_less": found.below.astype(int),
     }
     return CapabilityResult.from_object(

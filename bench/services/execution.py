@@ -59,11 +59,10 @@ from bench.run.workbench import BenchSetup
 from bench.services.bench_selection import bench_for_record, bench_path, why_taken
 from bench.services.check_block import checked_before
 from bench.services.errors import Refused
-from bench.services.own_effects import effects_for_record, knowing_effects_on_record
+from bench.services.own_effects import effects_for_record, knowing_effects_on_record, simulated_truth
 from bench.services.records import versions
 from bench.services.requests.measuring import ResumeRequest, RunRequest
 from bench.services.requests.shared import runs_folder
-from bench.services.simulated_truth import simulated_truth
 from bench.services.traceability import remarks
 from bench.services.until import noted_goals, until_of
 from bench.services.verification import NOTHING_ASKED, Asked, judgement_of

@@ -29,8 +29,8 @@ from bench.run.instruments import leave_safe
 from bench.run.listening import Interrupts
 from bench.run.workbench import QUICK_NPLC
 from bench.services.errors import Refused
+from bench.services.own_effects import simulated_truth
 from bench.services.records import versions
-from bench.services.simulated_truth import simulated_truth
 from drivers.angles import format_dms
 from drivers.clock import Clock, utc_now
 from drivers.interfaces import (

@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING
 import yaml
 
 from bench.base.yaml_files import FileMistakes
+from bench.config.bench_file.file import BenchFile
 from bench.config.formulas import effects_as_written, effects_in, effects_text, load_effects, written_formulas
 from bench.config.model_file import accept, load_model, write_model_file
+from bench.model import ForwardModel
 from bench.model.effects import CATALOGUE
+from bench.model.effects.base import PASS
 from bench.run.folder import EFFECTS, Run
 from bench.services.errors import Refused
 from bench.services.requests.diagnosis import Accept
@@ -93,3 +96,23 @@ def accept_terms(request: Accept) -> tuple[Path, Path]:
     except FileMistakes as mistakes:
         raise Refused(str(mistakes)) from None
     return place, beside
+
+
+def simulated_truth(bench: BenchFile, model: Path | None) -> ForwardModel:
+    """Return the model that the simulated world obeys: effects of the bench file and of the model file.
+
+    Raises `Refused` where one is of single passes: the world is read from outside, and knows of no pass.
+    """
+    installations = bench.installation_models()
+    effects = bench.applied_effects()
+    if model is not None:
+        effects += load_model(model, installations).applied_effects()
+    for applied in effects:
+        passes = [label for label in applied.installations if PASS in label]
+        if passes:
+            raise Refused(
+                f"effect {applied.effect.name} of {', '.join(passes)}: the simulated bench has effects of whole "
+                "mountings and cannot have one of single passes; name the installations alone (such as "
+                f"'{passes[0].split(PASS)[0]}'), or leave it out"
+            )
+    return ForwardModel(installations, effects)

@@ -21,15 +21,13 @@ from scipy import linalg, optimize, sparse
 from scipy.sparse.csgraph import connected_components
 
 from bench.base.arrays import Floats, Ints
+from bench.stats.reml import profile_of
 
 UNIT, BENCH, EXCESS = 0, 1, 2
 LEAST_PART: Final = 1e-3
 """A size below this part of its scale is as good as none."""
 TRIED: Final = 0.1
 """A size below this part of its scale is left out where the likelihood does not fall for it."""
-ONE_SIDED: Final = 0.5 * 1.6449**2
-"""What the logarithm of the likelihood loses at a limit that is kept with 95 %."""
-MOST_TIMES: Final = 1e3
 
 
 @dataclass(frozen=True)
@@ -320,30 +318,18 @@ def fit(
 
 
 def most(found: Crossed, which: int) -> float:
-    """Return the size that one of the three is below with 95 %, by the profile of the restricted likelihood.
-
-    The other variances follow as the information foretells, which is exact near the greatest likelihood.
-    """
+    """Return the size that one of the three is below with 95 %, by the profile of the restricted likelihood."""
     at = found.at
-    others = [j for j in range(3) if j != which and np.isfinite(found.sizes[j])]
-    scale = scales_of(at.crossing, found.y, found.variance)[which]
-    information = at.information(found.y)
-    follow = -np.linalg.pinv(information[np.ix_(others, others)]) @ information[others, which]
+    fixed = np.isinf(found.sizes)
 
-    def lacking(size: float) -> float:
-        squares = found.sizes**2
-        squares[others] += follow * (size**2 - squares[which])
-        squares[which] = size**2
-        sizes = np.sqrt(np.maximum(squares, 0.0))
-        return at.likelihood - solve(at.crossing, found.y, found.variance, sizes).likelihood - ONE_SIDED
+    def likelihood(variances: Floats) -> float:
+        sizes = np.where(fixed, np.inf, np.sqrt(variances))
+        return solve(at.crossing, found.y, found.variance, sizes).likelihood
 
-    low = found.sizes[which]
-    high = max(2.0 * low, 0.1 * scale)
-    while lacking(high) < 0 and high < MOST_TIMES * scale:
-        low, high = high, 2.0 * high
-    if lacking(high) < 0:
-        return float("inf")
-    return float(optimize.brentq(lacking, low, high, rtol=0.02))
+    variances = np.where(fixed, 0.0, found.sizes) ** 2
+    scale = float(scales_of(at.crossing, found.y, found.variance)[which])
+    free = np.flatnonzero(~fixed).tolist()
+    return profile_of(likelihood, variances, at.information(found.y), which, free, scale).most()
 
 
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:

@@ -9,13 +9,13 @@ Biometrics 51 (1995) 1440.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy import linalg, sparse, special
+from scipy import linalg, optimize, sparse, special
 
 from bench.base.arrays import Floats, Ints, Mask
 
@@ -118,6 +118,30 @@ class Projection:
         return np.asarray(0.5 * moved.T @ self.P @ moved)
 
 
+def scoring_step(
+    theta: Floats,
+    score: Floats,
+    information: Floats,
+    least: Floats | float,
+    damping: float,
+    ridge: float,
+    most_change: float = MOST_CHANGE,
+) -> Floats:
+    """Return variances (k,) one step of scoring further, in relative steps, none below `least`.
+
+    The information (k, k) is widened by a part `damping` of its diagonal and `ridge` of its trace. No variance
+    changes by more than a factor of `most_change`; one at `least` stays there where the likelihood falls.
+    """
+    slope = score * theta
+    curvature = information * np.outer(theta, theta)
+    free = (theta > least) | (slope > 0)
+    own = curvature[np.ix_(free, free)]
+    own = own + np.diag(damping * np.diag(own) + ridge * np.trace(own) + 1e-300)
+    step = np.zeros(len(theta))
+    step[free] = np.linalg.solve(own, slope[free])
+    return np.asarray(np.maximum(theta * np.clip(1.0 + step, 1 / most_change, most_change), least))
+
+
 def maximise(
     mixed: Mixed, start: Floats, scale: Floats, believed: Floats | None = None
 ) -> tuple[Floats, Projection]:
@@ -131,14 +155,8 @@ def maximise(
     theta = np.maximum(start, least)
     for _ in range(ROUNDS):
         at = Projection.at(mixed, theta)
-        slope = at.scores(mixed.columns) * theta
-        curvature = at.average_information(mixed.columns) * np.outer(theta, theta)
-        free = (theta > least) | (slope > 0)
-        step = np.zeros(len(theta))
-        own = curvature[np.ix_(free, free)]
-        own = own + np.diag(0.05 * np.diag(own) + 1e-9 * np.trace(own))
-        step[free] = np.linalg.solve(own, slope[free])
-        moved = np.maximum(theta * np.clip(1.0 + step, 1 / MOST_CHANGE, MOST_CHANGE), least)
+        score, information = at.scores(mixed.columns), at.average_information(mixed.columns)
+        moved = scoring_step(theta, score, information, least, 0.05, 1e-9)
         still = np.all(np.abs(moved - theta) <= AT_REST * theta + 10 * LEAST * scale)
         theta = moved
         if still:
@@ -191,3 +209,92 @@ def asked_for(at: Projection, Z: Columns, inside: int, dof: float) -> Asked:
     tail = np.exp(-0.5 * size**2 - special.log_ndtr(size)) / np.sqrt(2.0 * np.pi)
     expected = np.where(told, u * np.maximum(np.where(told, size, 0.0) + tail, 0.0), 0.0)
     return Asked(chance, expected)
+
+
+# --- along one size -----------------------------------------------------------------------------------
+
+ONE_SIDED: Final = 0.5 * 1.6449**2
+"""What the logarithm of the likelihood loses at a limit that is kept with 95 %."""
+GONE: Final = 8.0
+"""Sizes that lose more are not reckoned with."""
+NODES: Final = 24
+MOST_TIMES: Final = 1e3
+LIMIT_AT_REST: Final = 0.01
+"""A limit is known to this part of itself."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A restricted likelihood along one size, 1 sigma; the other variances follow as the information foretells.
+
+    That is exact near the greatest likelihood, which is at `variances` (k,). `follow` (k,) is by how much each
+    variance changes with that of the size, `which`; `scale` is a size to begin with.
+    """
+
+    likelihood: Callable[[Floats], float]
+    variances: Floats
+    which: int
+    follow: Floats
+    scale: float
+
+    @cached_property
+    def greatest(self) -> float:
+        """The logarithm of the greatest likelihood."""
+        return self.likelihood(self.variances)
+
+    @property
+    def middle(self) -> float:
+        """The size of greatest likelihood."""
+        return float(np.sqrt(self.variances[self.which]))
+
+    def lost(self, size: float) -> float:
+        """Return what the logarithm of the likelihood loses at a size."""
+        moved = self.variances + self.follow * (size**2 - self.variances[self.which])
+        return self.greatest - self.likelihood(np.maximum(moved, 0.0))
+
+    def beyond(self, loss: float) -> float:
+        """Return some size at which so much or more is lost; infinite where there is none to speak of."""
+        end = max(1.2 * self.middle, 0.2 * self.scale)
+        while self.lost(end) < loss:
+            end *= 1.5
+            if end > MOST_TIMES * self.scale:
+                return float("inf")
+        return end
+
+    def most(self) -> float:
+        """Return what the size is below with 95 %, to a part of `LIMIT_AT_REST`."""
+        end = self.beyond(ONE_SIDED)
+        if not np.isfinite(end):
+            return end
+        return float(
+            optimize.brentq(lambda size: self.lost(size) - ONE_SIDED, self.middle, end, rtol=LIMIT_AT_REST)
+        )
+
+    def mean(self) -> float:
+        """Return the root of the mean square over what the likelihood leaves; the greatest where it leaves all."""
+        end = self.beyond(GONE)
+        if not np.isfinite(end):
+            return self.middle
+        sizes = np.linspace(0.0, end, NODES)
+        loss = np.array([self.lost(size) for size in sizes])
+        weight = np.exp(loss.min() - loss)
+        return float(np.sqrt(np.sum(weight * sizes**2) / np.sum(weight)))
+
+
+def profile_of(
+    likelihood: Callable[[Floats], float],
+    variances: Floats,
+    information: Floats,
+    which: int,
+    free: Sequence[int],
+    scale: float,
+) -> Profile:
+    """Return the profile along size `which`, where the variances `free` were estimated and the others are held.
+
+    `information` (k, k) is that of the variances (k,) at the greatest likelihood.
+    """
+    others = [j for j in free if j != which]
+    follow = np.zeros(len(variances))
+    follow[others] = -np.linalg.pinv(information[np.ix_(others, others)]) @ information[others, which]
+    follow[which] = 1.0
+    return Profile(likelihood, variances, which, follow, scale)

@@ -12,8 +12,7 @@ from bench.config.formulas import load_effects
 from bench.model import CATALOGUE
 from bench.readings.csv import write_csv
 from bench.run.folder import Run
-from bench.services.own_effects import knowing_effects_on_record
-from bench.services.simulated_truth import simulated_truth
+from bench.services.own_effects import knowing_effects_on_record, simulated_truth
 from tests.support.paper_bench import simulate
 
 EFFECTS = """\

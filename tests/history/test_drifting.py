@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.history import capability as capability_module
-from bench.history.capability import YEAR, Within, apart, capability, histories
+from bench.history.capability import YEAR, capability
+from bench.stats import unit_histories
 from bench.stats.crossed_effects import EXCESS, Crossing, fit
+from bench.stats.unit_histories import Within, histories, spread_of
 from benchmarks.capability_honesty import laboratory
 
 VARIANCES = np.array([0.8, 0.5, 0.3, 0.7])
@@ -46,8 +47,8 @@ def test_capability_holds_the_scatter_of_the_laboratory_without_the_drift_of_its
     """Seed 5: of twelve intervals of 90 % eight or more hold the truth but once in 200 times."""
     made = laboratory(np.random.default_rng(5), 16, 4, 2, (1.0, 3.0, 0.0, 0.5))
     found = capability(made)
-    assert sum(one.scatter_least <= 1.0 <= one.scatter_most for one in found.apart) >= 8
-    assert all(one.shown for one in found.apart)
+    assert sum(one.scatter_least <= 1.0 <= one.scatter_most for one in found.spreads) >= 8
+    assert all(one.shown for one in found.spreads)
     assert np.all(found.u > found.stated)
     units, benches = (np.unique(labels, return_inverse=True)[1] for labels in (made.unit, made.bench))
     crossing = Crossing(units, benches, np.zeros_like(units))
@@ -63,7 +64,7 @@ def test_capability_holds_the_scatter_of_the_laboratory_without_the_drift_of_its
 def test_where_no_unit_drifts_scatter_is_not_below_the_truth_more_often_than_it_may():
     """Seed 6: upper limits of 95 %, of twelve four are below the truth once in 450 times."""
     made = laboratory(np.random.default_rng(6), 16, 4, 2, (1.0, 0.0, 0.0, 0.5))
-    found = [apart(of_column(made, k), several=True) for k in range(12)]
+    found = [spread_of(of_column(made, k), several=True) for k in range(12)]
     assert sum(one.scatter_most < 1.0 for one in found) < 4
     # more than nine of twelve below the truth, where half are, once in 50 times
     assert sum(one.scatter < 1.0 for one in found) <= 9
@@ -79,7 +80,7 @@ def of_column(made, k):
 
 def test_of_long_histories_in_a_large_laboratory_a_part_is_taken_and_that_is_said(monkeypatch):
     made = laboratory(np.random.default_rng(3), 3, 40, 2, (1.0, 0.0, 0.0, 0.5))
-    monkeypatch.setattr(capability_module, "MOST_WORK", 3 * 20.0**3)
+    monkeypatch.setattr(unit_histories, "MOST_WORK", 3 * 20.0**3)
     of = histories(*(np.unique(x, return_inverse=True)[1] for x in (made.unit, made.bench)), np.arange(120.0))
     assert (of.longest, of.dof) == (16, 45)
     for alike in of.alike:
@@ -95,6 +96,6 @@ def test_units_with_too_few_runs_to_tell_their_drift_are_told():
     found = capability(made)
     assert found.counts["units_with_too_few_runs"] == 14
     assert any("no unit has 3 runs" in note for note in found.notes)
-    assert not any(one.shown for one in found.apart)
+    assert not any(one.shown for one in found.spreads)
     # nothing is taken out that is not told: the drift is in the scatter
     assert min(found.scatter) > 1.0

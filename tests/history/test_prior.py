@@ -102,7 +102,7 @@ def test_a_capability_has_scatter_over_time_and_benches_in_it():
     shown = capability(table)
     assert np.all(shown.stated == 1.0)
     assert np.mean(shown.scatter) == pytest.approx(1.0, abs=0.25)
-    assert all(one.scatter_least < one.scatter < one.scatter_most for one in shown.apart)
+    assert all(one.scatter_least < one.scatter < one.scatter_most for one in shown.spreads)
     assert np.mean(shown.u) == pytest.approx(np.sqrt(2.0), abs=0.2)
     assert np.all(shown.below == np.where(shown.u > 1.0, 72, 0))
     written = capability_result(shown, ["asked of all"])
