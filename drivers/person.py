@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Literal, NotRequired, Protocol, TypedDict, runtime_checkable
+from typing import Final, Literal, NotRequired, Protocol, TypedDict, TypeVar, runtime_checkable
 
 from drivers.interfaces import Direction, LevelAxis
 
@@ -181,3 +181,36 @@ class WatchingPerson(Protocol):
 
     def ask(self, prompt: Prompt) -> Answer:
         """Put the prompt and wait for the answer, as a `Person`."""
+
+
+ATTEMPTS: Final = 5
+"""So often is a question put before it is given up."""
+
+_Read = TypeVar("_Read")
+
+
+def ask_until(
+    person: Person,
+    key: str,
+    question: Callable[[str, str], Prompt],
+    read: Callable[[str], _Read],
+    attempts: int = ATTEMPTS,
+) -> _Read:
+    """Put a question until its answer can be read; return what `read` makes of it.
+
+    `question` makes the prompt of its id and of a sentence on what was wrong with the answer before, empty at
+    first; `read` raises `ValueError` with that sentence. Raises `ValueError` with the last one after all
+    `attempts`, `NoAnswer` when there is nobody to ask.
+    """
+    trouble = ""
+    for attempt in range(1, attempts + 1):
+        prompt = question(f"{key}#{attempt}", trouble)
+        answer = person.ask(prompt)
+        if answer.prompt_id != prompt.id:
+            trouble = "That answer belonged to an earlier question."
+            continue
+        try:
+            return read(answer.text.strip() or prompt.default or "")
+        except ValueError as error:
+            trouble = str(error)
+    raise ValueError(trouble.rstrip("."))

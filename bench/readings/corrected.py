@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -57,22 +57,12 @@ def corrected(readings: Readings, by: Corrections) -> Readings:
     """
     if readings.corrected or not by:
         return readings
-    signal, signal_sd = readings.signal, readings.signal_sd
-    if by.of_signals and readings.unit == VOLTS:
-        scale = 1.0 + np.array(by.gain)
-        signal, signal_sd = signal * scale + np.array(by.offset_v), signal_sd * scale
     angle_rad, temperature_c = readings.angle_rad, readings.temperature_c
-    if by.head:
-        angle_rad = angle_rad + on_scale(by.head, angle_rad)
-    if by.thermometer:
-        known_c, added_k = np.array(by.thermometer).T
-        temperature_c = temperature_c + np.interp(temperature_c, known_c, added_k)
     return replace(
         readings,
-        signal=signal,
-        signal_sd=signal_sd,
-        angle_rad=angle_rad,
-        temperature_c=temperature_c,
+        **_signals(readings, by, back=False),
+        angle_rad=angle_rad + _of_head(by, angle_rad),
+        temperature_c=temperature_c + _of_thermometer(by, temperature_c),
         corrected=True,
         resolution_read=readings.resolution,
     )
@@ -82,26 +72,36 @@ def as_read(readings: Readings, by: Corrections) -> Readings:
     """Return what the instruments showed: that which is `readings` once these corrections are added."""
     if not readings.corrected or not by:
         return readings
-    signal, signal_sd = readings.signal, readings.signal_sd
-    if by.of_signals and readings.unit == VOLTS:
-        scale = 1.0 + np.array(by.gain)
-        signal, signal_sd = (signal - np.array(by.offset_v)) / scale, signal_sd / scale
     angle_rad, temperature_c = readings.angle_rad, readings.temperature_c
-    for _ in range(AGAIN if by.head else 0):
-        angle_rad = readings.angle_rad - on_scale(by.head, angle_rad)
-    if by.thermometer:
-        known_c, added_k = np.array(by.thermometer).T
-        for _ in range(AGAIN):
-            temperature_c = readings.temperature_c - np.interp(temperature_c, known_c, added_k)
+    for _ in range(AGAIN):
+        angle_rad = readings.angle_rad - _of_head(by, angle_rad)
+        temperature_c = readings.temperature_c - _of_thermometer(by, temperature_c)
     return replace(
         readings,
-        signal=signal,
-        signal_sd=signal_sd,
+        **_signals(readings, by, back=True),
         angle_rad=angle_rad,
         temperature_c=temperature_c,
         corrected=False,
         resolution_read=None,
     )
+
+
+def _signals(readings: Readings, by: Corrections, *, back: bool) -> dict[str, Any]:
+    """Return signals and their standard deviations with the corrections added, or taken `back`."""
+    if not by.of_signals or readings.unit != VOLTS:
+        return {}
+    scale, offset_v = 1.0 + np.array(by.gain), np.array(by.offset_v)
+    if back:
+        return {"signal": (readings.signal - offset_v) / scale, "signal_sd": readings.signal_sd / scale}
+    return {"signal": readings.signal * scale + offset_v, "signal_sd": readings.signal_sd * scale}
+
+
+def _of_head(by: Corrections, angle_rad: Floats) -> Floats | float:
+    return on_scale(by.head, angle_rad) if by.head else 0.0
+
+
+def _of_thermometer(by: Corrections, temperature_c: Floats) -> Floats | float:
+    return np.interp(temperature_c, *np.array(by.thermometer).T) if by.thermometer else 0.0
 
 
 def on_scale(table: Curve, angle_rad: Floats) -> Floats:

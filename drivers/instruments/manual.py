@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from functools import partial
+from typing import Final
 
 from drivers.angles import ROUNDING_RAD, format_dms, parse_angle, read_angle, typed_bubble, typed_temperature
 from drivers.interfaces import (
@@ -17,10 +18,25 @@ from drivers.interfaces import (
     LevelSizes,
     LimitExceeded,
 )
-from drivers.person import Person, Prompt, PromptKind
+from drivers.person import ATTEMPTS, Person, Prompt, PromptKind, ask_until
 
-if TYPE_CHECKING:
-    from drivers.person import Person
+
+class ByHand:
+    """An instrument without an interface, which a `person` handles; `model` is what the record calls it."""
+
+    model = ""
+
+    def __init__(self, name: str, person: Person) -> None:
+        self.name = name
+        self._person = person
+
+    def open(self) -> Identity:
+        """Return what the record says of an instrument without electronics; nothing is asked."""
+        return Identity(maker="manual", model=self.model)
+
+    def close(self) -> None:
+        """Nothing to release: the person leaves it as it is."""
+
 
 # --- the head ---------------------------------------------------------------------------------------
 
@@ -30,13 +46,15 @@ _APPROACH: Final[dict[Direction, str]] = {
 }
 
 
-class ManualHead:
+class ManualHead(ByHand):
     """A `DividingHead` whose motor and encoder are a person.
 
     The angle that comes back is the one read on the scale after clamping, never the target: it is what
     the calibration takes. `tolerance_rad` is how far it may lie from the target. Where
     `enter_accepts_target`, an empty answer is the target; else the angle must be typed.
     """
+
+    model = "dividing head"
 
     def __init__(
         self,
@@ -47,18 +65,10 @@ class ManualHead:
         enter_accepts_target: bool = True,
         max_attempts: int = 5,
     ) -> None:
-        self.name = name
-        self._person = person
+        super().__init__(name, person)
         self._tolerance_rad = tolerance_rad
         self._enter_accepts_target = enter_accepts_target
         self._max_attempts = max_attempts
-
-    def open(self) -> Identity:
-        """Return what stands in the record for a head without electronics; nothing is asked."""
-        return Identity(maker="manual", model="dividing head")
-
-    def close(self) -> None:
-        """Nothing to release: the person leaves the head clamped."""
 
     def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
         """Ask the person to turn to `target_rad` from the stated side; return the angle read.
@@ -66,24 +76,22 @@ class ManualHead:
         A reading outside the tolerance is never accepted: it is asked again, naming the probable slip.
         Raises `LimitExceeded` after the last attempt, `NoAnswer` when there is nobody to ask.
         """
-        trouble = ""
-        for attempt in range(1, self._max_attempts + 1):
-            prompt = self._prompt(target_rad, direction, f"{key}#{attempt}", trouble)
-            answer = self._person.ask(prompt)
-            if answer.prompt_id != prompt.id:
-                trouble = "That answer belonged to an earlier question."
-                continue
-            typed = answer.text.strip() or prompt.default or ""
-            try:
-                return HeadPosition(read_angle(typed, target_rad, self._tolerance_rad), direction)
-            except ValueError as error:
-                trouble = str(error)
-        raise LimitExceeded(
-            self.name,
-            f"no reading within {format_dms(self._tolerance_rad)} of {_scale_text(target_rad)} "
-            f"in {self._max_attempts} attempts ({trouble.rstrip('.')})",
-            "check the clamp, the scale and the procedure's angle, then take this point again",
-        )
+        try:
+            angle_rad = ask_until(
+                self._person,
+                key,
+                partial(self._prompt, target_rad, direction),
+                lambda typed: read_angle(typed, target_rad, self._tolerance_rad),
+                self._max_attempts,
+            )
+        except ValueError as trouble:
+            raise LimitExceeded(
+                self.name,
+                f"no reading within {format_dms(self._tolerance_rad)} of {_scale_text(target_rad)} "
+                f"in {self._max_attempts} attempts ({trouble})",
+                "check the clamp, the scale and the procedure's angle, then take this point again",
+            ) from None
+        return HeadPosition(angle_rad, direction)
 
     def _prompt(self, target_rad: float, direction: Direction, prompt_id: str, trouble: str) -> Prompt:
         target = _scale_text(target_rad)
@@ -117,7 +125,6 @@ def _scale_text(angle_rad: float) -> str:
 
 # --- the level --------------------------------------------------------------------------------------
 
-_MAX_ATTEMPTS: Final = 5
 _ENDS: Final[dict[tuple[LevelAxis, bool], str]] = {
     ("along", False): "along the shaft, its marked end away from you",
     ("along", True): "along the shaft the other way round, its marked end towards you",
@@ -126,13 +133,14 @@ _ENDS: Final[dict[tuple[LevelAxis, bool], str]] = {
 }
 
 
-class ManualLevel:
+class ManualLevel(ByHand):
     """A `Level` of one vial, laid along the shaft and across it. A graduation is `division_rad`.
 
     A person reads it to `reading_divisions` (standard uncertainty); the vial has `most_divisions` to either side.
     `scale` is the standard uncertainty of a graduation as a part of it, `turn_rad` that of how it is laid.
     """
 
+    model = "bubble level"
     asks_person = True
 
     def __init__(
@@ -146,8 +154,7 @@ class ManualLevel:
         scale: float,
         turn_rad: float,
     ) -> None:
-        self.name = name
-        self._person = person
+        super().__init__(name, person)
         self._division_rad = division_rad
         self._most_divisions = most_divisions
         self._sizes = LevelSizes(reading_divisions * division_rad, scale, turn_rad)
@@ -157,13 +164,6 @@ class ManualLevel:
         """As the bench file states them."""
         return self._sizes
 
-    def open(self) -> Identity:
-        """Return what stands in the record for a level without electronics; nothing is asked."""
-        return Identity(maker="manual", model="bubble level")
-
-    def close(self) -> None:
-        """Nothing to release."""
-
     def inclination(self, key: str, *, turned: bool) -> Inclination:
         """Ask for the bubble along the shaft and across it; what is off the vial's scale is asked again.
 
@@ -172,11 +172,9 @@ class ManualLevel:
         return Inclination(self._read(key, "along", turned), self._read(key, "across", turned))
 
     def _read(self, key: str, axis: LevelAxis, turned: bool) -> float:
-        most = self._most_divisions
-        trouble = ""
-        for attempt in range(1, _MAX_ATTEMPTS + 1):
-            prompt = Prompt(
-                id=f"{key}/{axis}#{attempt}",
+        def prompt(prompt_id: str, trouble: str) -> Prompt:
+            return Prompt(
+                id=prompt_id,
                 kind=PromptKind.NUMBER,
                 text=(
                     f"{trouble} Looking at the end of the shaft, lay the level {_ENDS[axis, turned]}; when the "
@@ -189,27 +187,26 @@ class ManualLevel:
                     "axis": axis,
                     "turned": turned,
                     "division_rad": self._division_rad,
-                    "most_divisions": most,
+                    "most_divisions": self._most_divisions,
                 },
             )
-            answer = self._person.ask(prompt)
-            if answer.prompt_id != prompt.id:
-                trouble = "That answer belonged to an earlier question."
-                continue
-            try:
-                return typed_bubble(answer.text, self._division_rad, most)
-            except ValueError as error:
-                trouble = str(error)
-        raise BadReading(
-            self.name,
-            f"no reading on its scale in {_MAX_ATTEMPTS} attempts ({trouble.rstrip('.')})",
-            "level the platform roughly, check the divisions in the bench file, then take this step again",
-        )
+
+        try:
+            return ask_until(
+                self._person,
+                f"{key}/{axis}",
+                prompt,
+                lambda typed: typed_bubble(typed, self._division_rad, self._most_divisions),
+            )
+        except ValueError as trouble:
+            raise BadReading(
+                self.name,
+                f"no reading on its scale in {ATTEMPTS} attempts ({trouble})",
+                "level the platform roughly, check the divisions in the bench file, then take this step again",
+            ) from None
 
 
 # --- the chamber ------------------------------------------------------------------------------------
-
-ATTEMPTS: Final = 5
 
 
 def ask_temperature(
@@ -220,10 +217,10 @@ def ask_temperature(
     `key` names the question, `text` what to do, `outside` what is said of a value beyond: "is not plausible
     ({low:g} to {high:g} °C)". Raises `NoAnswer` when there is nobody to ask.
     """
-    trouble = ""
-    for attempt in range(1, ATTEMPTS + 1):
-        prompt = Prompt(
-            id=f"{key}#{attempt}",
+
+    def prompt(prompt_id: str, trouble: str) -> Prompt:
+        return Prompt(
+            id=prompt_id,
             kind=PromptKind.NUMBER,
             text=f"{trouble} {text} and type the temperature in °C.".lstrip(),
             unit="°C",
@@ -231,19 +228,17 @@ def ask_temperature(
             maximum=high_c,
             action={"do": "read_temperature"},
         )
-        answer = person.ask(prompt)
-        if answer.prompt_id != prompt.id:
-            trouble = "That answer belonged to an earlier question."
-            continue
-        try:
-            temperature_c = typed_temperature(answer.text)
-        except ValueError as error:
-            trouble = str(error)
-            continue
-        if low_c <= temperature_c <= high_c:
-            return temperature_c
-        trouble = f"{temperature_c:g} °C {outside.format(low=low_c, high=high_c)}."
-    return None
+
+    def read(typed: str) -> float:
+        temperature_c = typed_temperature(typed)
+        if not low_c <= temperature_c <= high_c:
+            raise ValueError(f"{temperature_c:g} °C {outside.format(low=low_c, high=high_c)}.")
+        return temperature_c
+
+    try:
+        return ask_until(person, key, prompt, read)
+    except ValueError:
+        return None
 
 
 _YES: Final = frozenset({"y", "yes", "ok", "done"})
@@ -254,26 +249,20 @@ _PLAUSIBLE_K: Final = 20.0
 """A thermometer may stand this far outside the chamber's range (a room, a chamber not yet switched on)."""
 
 
-class ManualChamber:
+class ManualChamber(ByHand):
     """A `ThermalChamber` whose controller is a person; limits in °C."""
+
+    model = "thermal chamber"
+    asks_person = True
 
     def __init__(
         self, name: str, person: Person, *, minimum_c: float, maximum_c: float, safe_c: float | None = None
     ) -> None:
-        self.name = name
-        self.asks_person = True
-        self._person = person
+        super().__init__(name, person)
         self._minimum_c = minimum_c
         self._maximum_c = maximum_c
         self._safe_c = safe_c
         self._set = False
-
-    def open(self) -> Identity:
-        """Return what stands in the record for a chamber without an interface; nothing is asked."""
-        return Identity(maker="manual", model="thermal chamber")
-
-    def close(self) -> None:
-        """Nothing to release: what the chamber is left at is the person's to decide."""
 
     def make_safe(self) -> str:
         """Return what the person must do where a temperature was set; nobody is asked on the way out."""
@@ -347,24 +336,17 @@ class ManualChamber:
         return text or prompt.default or ""
 
 
-class ManualThermometer:
+class ManualThermometer(ByHand):
     """A `Thermometer` of the given range, °C, whose display a person reads; what is beyond is asked again."""
 
+    model = "thermometer"
     asks_person = True
 
     def __init__(self, name: str, person: Person, *, minimum_c: float, maximum_c: float, sensor: str) -> None:
-        self.name = name
+        super().__init__(name, person)
         self.sensor = sensor
-        self._person = person
         self._minimum_c = minimum_c
         self._maximum_c = maximum_c
-
-    def open(self) -> Identity:
-        """Return what stands in the record for a thermometer without an interface; nothing is asked."""
-        return Identity(maker="manual", model="thermometer")
-
-    def close(self) -> None:
-        """Nothing to release."""
 
     def block_c(self, key: str) -> float:
         """Ask for the temperature at the block, °C.

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final, Literal
 
 from drivers.angles import SupplyUnit, typed_supply
+from drivers.instruments.manual import ByHand
 from drivers.interfaces import (
     BadReading,
-    Identity,
     InstrumentRefused,
     LimitExceeded,
     OutputSettings,
@@ -16,14 +16,13 @@ from drivers.interfaces import (
     SetOtherwise,
     SupplyLimits,
 )
-from drivers.person import Prompt, PromptKind
+from drivers.person import ATTEMPTS, Prompt, PromptKind
 
 if TYPE_CHECKING:
     from drivers.person import Action, Person
 
 _SWITCH: Final = ("off", "on")
 _YES: Final = frozenset({"y", "yes", "ok", "done"})
-_MAX_ATTEMPTS: Final = 5
 _OF_LIMIT: Final = 0.99
 """From this part of its limit on a current is taken to be limited."""
 _DEAD: Final = 0.02
@@ -38,28 +37,22 @@ _CALLED: Final[dict[Quantity, tuple[str, SupplyUnit]]] = {
 }
 
 
-class ManualSupply:
+class ManualSupply(ByHand):
     """A `PowerSupply` whose wire is a person.
 
     `limits` say what its outputs can do. What an output gives may be `tolerance_v` from what it is set to.
     """
 
+    model = "power supply"
+    asks_person = True
+
     def __init__(self, name: str, person: Person, *, limits: SupplyLimits, tolerance_v: float) -> None:
-        self.name = name
+        super().__init__(name, person)
         self.outputs = tuple(limits.outputs)
-        self.asks_person = True
-        self._person = person
         self._limits = limits
         self._tolerance_v = tolerance_v
         self._set: dict[str, OutputSettings] = {}
         self._on: dict[str, bool] = {}
-
-    def open(self) -> Identity:
-        """Return what stands in the record for a supply without an interface; nothing is asked."""
-        return Identity(maker="manual", model="power supply")
-
-    def close(self) -> None:
-        """Nothing to release: the supply stays as it is."""
 
     def state(self, key: str) -> dict[str, OutputState]:
         """Ask what each output that was set up gives.
@@ -148,7 +141,7 @@ class ManualSupply:
             f"current limit {wanted.current_limit_a:g} A, then {wanted.voltage_v:g} V; confirm."
         )
         different: list[str] = []
-        for attempt in range(1, _MAX_ATTEMPTS + 1):
+        for attempt in range(1, ATTEMPTS + 1):
             trouble = f"Read back, {' and '.join(different)}. " if different else ""
             self._text(
                 f"{key}/{output}/set/{attempt}",
@@ -165,7 +158,7 @@ class ManualSupply:
                 return
         raise InstrumentRefused(
             self.name,
-            f"its output {output} was not set in {_MAX_ATTEMPTS} attempts: {' and '.join(different)}",
+            f"its output {output} was not set in {ATTEMPTS} attempts: {' and '.join(different)}",
             "check what the display shows, then take this step again",
         )
 
@@ -208,7 +201,7 @@ class ManualSupply:
         """Ask for a number on the display. Raises `BadReading` when none comes."""
         called, unit = _CALLED[what]
         trouble = ""
-        for attempt in range(1, _MAX_ATTEMPTS + 1):
+        for attempt in range(1, ATTEMPTS + 1):
             text = self._text(
                 f"{key}/{output}/{what}",
                 f"{trouble}Read {called.format(output)} from the power supply, {unit}.",
@@ -223,7 +216,7 @@ class ManualSupply:
                 trouble = f"{error} "
         raise BadReading(
             self.name,
-            f"no number for {called.format(output)} in {_MAX_ATTEMPTS} attempts",
+            f"no number for {called.format(output)} in {ATTEMPTS} attempts",
             "read the display, then take this step again",
         )
 

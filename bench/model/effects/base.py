@@ -248,39 +248,20 @@ class InPart(Effect):
     parameters: tuple[Parameter, ...] = (Parameter(PART, "1", 1.0, plausible=1.0, per_channel=False),)
 
     def __post_init__(self) -> None:
-        """Refuse parts that cannot be added to each other."""
-        if len({applied.effect.stage for applied in self.parts}) != 1:
+        """Take over what the parts have. Raises `ValueError` for parts that cannot be added to each other."""
+        effects = [applied.effect for applied in self.parts]
+        if len({effect.stage for effect in effects}) != 1:
             raise ValueError("the parts of a shape act at one stage of the model")
-
-    @property
-    def stage(self) -> Stage:  # type: ignore[override]
-        """Where it acts."""
-        return self.parts[0].effect.stage
-
-    @property
-    def subsystem(self) -> Subsystem:  # type: ignore[override]
-        """What it belongs to."""
-        return self.parts[0].effect.subsystem
-
-    @property
-    def sentence(self) -> str:  # type: ignore[override]
-        """What it is."""
-        return f"what the readings do not tell of the shape of {self.of}"
-
-    @property
-    def shown_by(self) -> str:  # type: ignore[override]
-        """What measurement would show it."""
-        return self.parts[0].effect.shown_by
-
-    @property
-    def needs_history(self) -> bool:  # type: ignore[override]
-        """Whether a reading depends on those before it."""
-        return any(applied.effect.needs_history or applied.effect.lasts for applied in self.parts)
-
-    @property
-    def needs_path(self) -> bool:  # type: ignore[override]
-        """Whether it depends on how the head came there."""
-        return any(applied.effect.needs_path for applied in self.parts)
+        told = {
+            "stage": effects[0].stage,
+            "subsystem": effects[0].subsystem,
+            "sentence": f"what the readings do not tell of the shape of {self.of}",
+            "shown_by": effects[0].shown_by,
+            "needs_history": any(effect.needs_history or effect.lasts for effect in effects),
+            "needs_path": any(effect.needs_path for effect in effects),
+        }
+        for name, value in told.items():
+            object.__setattr__(self, name, value)
 
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return the size times the sum of the parts (see `Effect.addition`)."""
