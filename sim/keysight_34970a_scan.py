@@ -11,7 +11,20 @@ from drivers.facts import keysight_34970a as facts
 from drivers.facts.agilent_34401a import OVERLOAD_V
 from drivers.facts.keysight_34970a import MEMORY_READINGS, PAIRED
 from sim.scpi import Command
-from sim.scpi_values import DEF, INF, MAX, MIN, Boolean, Choice, Number, ScpiError, Value, integer, within
+from sim.scpi_values import (
+    DEF,
+    INF,
+    MAX,
+    MIN,
+    Boolean,
+    Choice,
+    Number,
+    ScpiError,
+    Value,
+    integer,
+    list_spans,
+    within,
+)
 from sim.voltmeters import (
     Function,
     FunctionSettings,
@@ -73,7 +86,6 @@ NO_CHANNEL: Final = 304
 
 _DEFAULT_RESOLUTION: Final = 3e-6
 _AUTOMATIC_DELAY_S: Final = 2e-3
-_LIST: Final = re.compile(r"\(\s*@\s*([0-9:,\s]*)\)")
 _ITEM: Final = re.compile(r"(\d{3})(?::(\d{3}))?")
 
 
@@ -102,16 +114,8 @@ def listed(text: str, cards: Mapping[int, str]) -> tuple[int, ...]:
     `cards` holds the card in each slot (100, 200, 300). Raises `ScpiError` 309 for another form, 302 where
     there is no card, 304 where the card has no such channel; within a range those are passed over.
     """
-    match = _LIST.fullmatch(text)
-    if match is None:
-        raise ScpiError(WRONG_LIST)
     channels: list[int] = []
-    inner = match.group(1).replace(" ", "")
-    for item in inner.split(",") if inner else []:
-        ends = _ITEM.fullmatch(item)
-        if ends is None:
-            raise ScpiError(WRONG_LIST)
-        first, last = int(ends.group(1)), int(ends.group(2) or ends.group(1))
+    for first, last in list_spans(text, _ITEM, WRONG_LIST):
         for end in (first, last):
             if 100 * (end // 100) not in cards:
                 raise ScpiError(NO_MODULE)

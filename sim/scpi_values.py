@@ -6,7 +6,7 @@ import math
 import re
 from collections import deque
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Final, Protocol
 
 if TYPE_CHECKING:
@@ -173,6 +173,7 @@ _MAX_DIGITS: Final = 255
 _MAX_EXPONENT: Final = 32000
 
 
+@cache
 def notation_pattern(notation: str) -> re.Pattern[str]:
     """Compile a keyword in the manual's notation, such as "[SENSe:]VOLTage[:DC]:NPLCycles?".
 
@@ -422,18 +423,25 @@ class OutputList:
         return text
 
 
-def listed(text: str, count: int) -> tuple[int, ...]:
-    """Return the numbers of a list in its order. Raises `ScpiError` for none, or one beyond `count`."""
+def list_spans(text: str, item: re.Pattern[str], wrong: int) -> list[tuple[int, int]]:
+    """Return first and last number of each item of a list, `(@1,3:4)`; raise `ScpiError` `wrong` for no list.
+
+    `item` is the pattern of one, with the first and perhaps the last number as groups.
+    """
     match = _LIST.fullmatch(text)
     inner = "" if match is None else match.group(1).replace(" ", "")
-    if not inner:
+    items = [item.fullmatch(part) for part in inner.split(",")] if inner else []
+    if match is None or None in items:
+        raise ScpiError(wrong)
+    return [(int(found[1]), int(found[2] or found[1])) for found in items if found is not None]
+
+
+def listed(text: str, count: int) -> tuple[int, ...]:
+    """Return the numbers of a list in its order. Raises `ScpiError` for none, or one beyond `count`."""
+    spans = list_spans(text, _ITEM, -104)
+    numbers = [number for first, last in spans for number in range(first, last + 1)]
+    if not spans:
         raise ScpiError(_MISSING)
-    numbers: list[int] = []
-    for item in inner.split(","):
-        ends = _ITEM.fullmatch(item)
-        if ends is None:
-            raise ScpiError(-104)
-        numbers += range(int(ends.group(1)), int(ends.group(2) or ends.group(1)) + 1)
     if not all(1 <= number <= count for number in numbers):
         raise ScpiError(_OUT_OF_RANGE)
     return tuple(numbers)

@@ -40,6 +40,7 @@ from bench.readings.table import (
     UNORIENTED,
     VERIFICATION,
     Readings,
+    make_readings,
     scan_order,
 )
 
@@ -288,25 +289,24 @@ def _assemble(
     bad: tuple[str, ...],
 ) -> Readings:
     values = {name: np.array(column, dtype=np.float64) for name, column in columns.values.items()}
-    return Readings(
+    table = make_readings(
+        columns.installation,
+        values["pass"],
+        values["point"],
+        np.radians(values["angle_deg"]),
+        np.stack([values[name] for name in signals], axis=1),
         source=source,
         unit=unit,
-        series=values["series"].astype(np.int64),
-        installation=np.array(columns.installation, dtype=np.str_),
-        pass_number=values["pass"].astype(np.int64),
-        point=values["point"].astype(np.int64),
-        angle_rad=np.radians(values["angle_deg"]),
+        series=values["series"],
         target_rad=np.radians(values["target_deg"]),
-        direction=values["direction"].astype(np.int64),
+        direction=values["direction"],
         time_s=values["time_s"],
         temperature_c=values["temperature_c"],
-        signal=np.stack([values[name] for name in signals], axis=1),
         signal_sd=np.stack([values[name[:2] + "_sd" + name[2:]] for name in signals], axis=1),
-        samples=values["samples"].astype(np.int64),
-        extra={name: np.array(cells, dtype=np.str_) for name, cells in columns.extra.items()},
-        notes=notes,
-        skipped=bad,
+        samples=values["samples"],
     )
+    extra = {name: np.array(cells, dtype=np.str_) for name, cells in columns.extra.items()}
+    return replace(table, extra=extra, notes=notes, skipped=bad)
 
 
 def write_csv(readings: Readings, path: Path) -> None:

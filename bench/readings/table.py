@@ -166,41 +166,47 @@ def scan_order(text: str) -> tuple[int, ...]:
 
 
 def make_readings(
-    installation: list[str],
-    pass_number: list[int],
-    point: list[int],
+    installation: Sequence[str],
+    pass_number: Sequence[int] | Floats,
+    point: Sequence[int] | Floats,
     angle_rad: Floats,
     signal: Floats,
     *,
     source: str = "memory",
     unit: str = "V",
     target_rad: Floats | None = None,
-    series: list[int] | None = None,
-    direction: list[int] | None = None,
+    series: Sequence[int] | Floats | None = None,
+    direction: Sequence[int] | Floats | None = None,
     time_s: Floats | None = None,
     temperature_c: Floats | None = None,
     signal_sd: Floats | None = None,
-    samples: list[int] | None = None,
+    samples: Sequence[int] | Floats | None = None,
     scan_order: list[str] | None = None,
 ) -> Readings:
-    """Build a table from columns; those left out take the values that stand for "not given"."""
+    """Build a table from columns of length n; those left out take the values that stand for "not given"."""
     n = len(installation)
-    unknown = np.full(n, np.nan)
+
+    def whole(values: Sequence[int] | Floats | None, default: int) -> Ints:
+        return np.full(n, default) if values is None else np.asarray(values).astype(np.int64)
+
+    def real(values: Floats | None) -> Floats:
+        return np.full(n, np.nan) if values is None else np.asarray(values, dtype=np.float64)
+
     return Readings(
         source=source,
         unit=unit,
-        series=np.array(series or [1] * n, dtype=np.int64),
+        series=whole(series, 1),
         installation=np.array(installation, dtype=np.str_),
-        pass_number=np.array(pass_number, dtype=np.int64),
-        point=np.array(point, dtype=np.int64),
-        angle_rad=np.asarray(angle_rad, dtype=np.float64),
-        target_rad=unknown if target_rad is None else np.asarray(target_rad, dtype=np.float64),
-        direction=np.array(direction or [0] * n, dtype=np.int64),
-        time_s=unknown if time_s is None else np.asarray(time_s, dtype=np.float64),
-        temperature_c=unknown if temperature_c is None else np.asarray(temperature_c, dtype=np.float64),
+        pass_number=whole(pass_number, 1),
+        point=whole(point, 1),
+        angle_rad=real(angle_rad),
+        target_rad=real(target_rad),
+        direction=whole(direction, 0),
+        time_s=real(time_s),
+        temperature_c=real(temperature_c),
         signal=np.asarray(signal, dtype=np.float64).reshape(n, 3),
         signal_sd=np.full((n, 3), np.nan) if signal_sd is None else signal_sd.reshape(n, 3),
-        samples=np.array(samples or [1] * n, dtype=np.int64),
+        samples=whole(samples, 1),
         extra={} if scan_order is None else {SCAN_ORDER: np.array(scan_order, dtype=np.str_)},
     )
 

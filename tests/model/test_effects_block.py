@@ -232,9 +232,9 @@ def walked(labels, angle, direction, width_g, psi):
                 stops.insert(1, end - direction[i] * PAST_RAD)
         for a, b in pairwise(stops):
             way = np.linspace(a, b, max(2, int(abs(b - a) / np.radians(0.02))))
-            for now in specific_force([labels[i]] * len(way), way, psi=psi):
-                slack = np.clip(slack, now - width_g, now + width_g)
-        result.append((now - slack) / width_g)
+            for now in specific_force([labels[i]] * len(way), way, psi=psi).tolist():
+                slack = [min(max(s, n - width_g), n + width_g) for s, n in zip(slack, now, strict=True)]
+        result.append((np.array(now) - slack) / width_g)
     return np.array(result)
 
 
