@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, HasCovariance, rms, u_of
-from bench.base.numbers import finite_or_none
 from bench.calibration import gls
 from bench.calibration.budget.coefficients import meters_of, parts_of
 from bench.calibration.budget.sources import hidden_sources
@@ -166,17 +165,6 @@ class Quantity:
             return self.name
         return f"K1 (1{parts})" if self.name == "K1" else self.name + parts
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        return {
-            "value": self.value,
-            "u": self.u,
-            "U": K * self.u,
-            "u_readings": self.u_readings,
-            "unit": self.unit,
-            "contains": dict(self.contains),
-        }
-
 
 @dataclass(frozen=True)
 class TumbleView(HasCovariance):
@@ -214,43 +202,6 @@ class TumbleView(HasCovariance):
         """Return the correlation of two quantities, by `names`."""
         a, b = self.names.index(first), self.names.index(second)
         return float(self.covariance[a, b] / (self.u[a] * self.u[b]))
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the promised form."""
-        fit = self.lack_of_fit
-        return {
-            "unit": self.unit,
-            "g_m_s2": self.g_m_s2,
-            "k": K,
-            "model": "E/K1 = K0 + a_i + cross-axis terms + K2 a_i^2 + K3 a_i^3 + Koq a_i |a_i| + ..., a in g",
-            "axes": {
-                own.channel: {
-                    "quantities": {q.name: q.to_json() for q in self.axes[own.channel]},
-                    "rank": own.rank,
-                    "terms": list(own.asked),
-                    "not_separable": own.inseparable,
-                    "left_out": {term: dict(moved) for term, moved in self.left_out[own.channel].items()},
-                }
-                for own in self.judged
-            },
-            "order": self.names,
-            "combined": self.combined,
-            "covariance": self.covariance.tolist(),
-            "covariance_readings": self.covariance_readings.tolist(),
-            "noise": {
-                "reading_v": self.noise.reading,
-                "setting_arcsec": float(np.degrees(self.noise.setting_rad) * 3600),
-                "dof": finite_or_none(self.noise.dof),
-                "source": self.noise.source,
-            },
-            "residual": {
-                "rms": finite_or_none(fit.rms),
-                "chi2": finite_or_none(fit.chi2),
-                "dof": fit.dof,
-                "p": finite_or_none(fit.p),
-            },
-            "readings": len(self.fitted),
-        }
 
 
 def tumble_view(

@@ -57,6 +57,7 @@ COMMANDS: Final = {
 """Every command with the first line of its help, in the order in which the help lists them."""
 
 MODULES: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("calibrate", "verify", "report", "coefficients", "compensate", "tumble"), "evaluate"),
     **dict.fromkeys(("check", "init", "budget", "require", "plan-points"), "planning"),
     **dict.fromkeys(("run", "resume", "abort", "control"), "measure"),
     **dict.fromkeys(("chart", "compare", "learn", "stability"), "history"),

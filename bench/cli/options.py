@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar, Token
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperOption
@@ -15,6 +15,7 @@ from typer.core import TyperCommand, TyperOption
 from bench.cli import completing
 from bench.cli.commands import Commands
 from bench.config.devices import FOLDERS
+from bench.services.requests.evaluation import ESTIMATORS_TOLD
 from bench.services.requests.planning import ESTIMATORS_IN_A_BUDGET
 
 devices_given: ContextVar[tuple[str, ...]] = ContextVar("devices_given", default=())
@@ -130,9 +131,6 @@ app = typer.Typer(
     epilog="Exit status: 0 done and accepted, 1 done and not accepted, 2 could not be done.",
 )
 
-ESTIMATORS_TOLD: Final = "The estimators."
-"""Help text that `WithEstimators` replaces by the names there are, as that of a budget."""
-
 
 class WithEstimators(TyperCommand):
     """A command whose help names the estimators; they are looked up where it is shown, as that takes a second."""
@@ -173,85 +171,14 @@ WireLogOption = Annotated[
     Path | None,
     typer.Option("--wire-log", metavar="FILE", help="Write every message to and from the instruments."),
 ]
-AnswersOption = Annotated[
-    str | None,
-    typer.Option(
-        "--answers",
-        metavar="PLACE",
-        help="Where a person answers the questions, also those of a dry run: terminal, or folder (the run's).",
-    ),
-]
-PanelOption = Annotated[
-    bool,
-    typer.Option(
-        "--panel",
-        help="Open the operator's panel for this run and print its link; a dry run's questions are asked, too.",
-    ),
-]
-UntilOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--until",
-        metavar="GOALS",
-        help="End when it is good enough: all=5e-5, combined:Kxx=1e-4, delta-g=1e-4, vector=7e-5, time=4h.",
-    ),
-]
 GravityOption = Annotated[
     float | None,
     typer.Option("--g", metavar="M/S2", help="Local gravity, m/s², in place of the bench file's."),
-]
-CalibrateEstimatorOption = Annotated[str, typer.Option("--estimator", help=ESTIMATORS_TOLD)]
-NominalOption = Annotated[
-    bool, typer.Option("--nominal-angles", help="Target angles in place of those read back.")
-]
-JoinFreeOption = Annotated[
-    bool,
-    typer.Option("--join-free/--no-join-free", help="Free positions (F) join the fit by |a| = 1 g."),
-]
-JoinVerificationOption = Annotated[
-    bool,
-    typer.Option("--join-verification", help="So do verification points; they check nothing then."),
 ]
 StrictFitOption = Annotated[
     bool,
     typer.Option("--strict", help="A lack of fit of p < 0.01 is not accepted, either (without it: 1e-4)."),
 ]
-RuleOption = Annotated[
-    str | None,
-    typer.Option(
-        "--rule",
-        metavar="RULE",
-        help="simple: |Δg| within the limit; guarded: |Δg| + w within it, w = U; non-binary: with conditional "
-        "statements (default: the bench file's, or non-binary with w at 5 % false acceptance).",
-    ),
-]
-GuardBandOption = Annotated[
-    float | None,
-    typer.Option(
-        "--guard-band",
-        metavar="R",
-        help="Guard band of the rule: w = R U (default: the bench file's, or that of the rule).",
-    ),
-]
-PopulationOption = Annotated[
-    tuple[float, float] | None,
-    typer.Option(
-        "--population",
-        metavar="MEAN SD",
-        help="Mean and standard deviation of Δg over many blocks, g: they enter the risks.",
-    ),
-]
-LimitOption = Annotated[float | None, typer.Option(help="Limit of |Δg| in g, in place of the bench file's.")]
-ProcedureOption = Annotated[
-    str,
-    typer.Option(
-        "--procedure",
-        metavar="FILE",
-        help="Procedure, by path or shipped name.",
-        autocompletion=completing.procedures,
-    ),
-]
-EstimatorOption = Annotated[str, typer.Option(help=ESTIMATORS_IN_A_BUDGET)]
 Sources = Annotated[
     list[str],
     typer.Argument(
@@ -259,10 +186,6 @@ Sources = Annotated[
         help="Runs (name or path) or readings files.",
         autocompletion=completing.sources,
     ),
-]
-ProcedureArgument = Annotated[
-    str,
-    typer.Argument(help="Procedure file, by path or shipped name.", autocompletion=completing.procedures),
 ]
 RunArgument = Annotated[str, typer.Argument(help="Run, by name or path.", autocompletion=completing.runs)]
 LatestRun = Annotated[

@@ -29,7 +29,8 @@ def requested(command: Callable[..., int]) -> Callable[..., int]:
     fields = list(fields_of(request))
     parameters = list(inspect.signature(command).parameters.values())
     place = [parameter.name for parameter in parameters].index(name)
-    made = [_parameter(field, several=several and place == 0 and field is fields[0]) for field in fields]
+    first = next((field for field in fields if field.option.argument), fields[0])
+    made = [_parameter(field, several=several and place == 0 and field is first) for field in fields]
     named = inspect.Parameter.KEYWORD_ONLY
     others = [one.replace(annotation=hints[one.name], kind=named) for one in parameters if one.name != name]
 
@@ -38,8 +39,8 @@ def requested(command: Callable[..., int]) -> Callable[..., int]:
         mine = {field.name: given.pop(field.name) for field in fields}
         if not several:
             return command(**{name: request(**mine)}, **given)
-        every = mine.pop(fields[0].name)
-        return command(**{name: [request(**{fields[0].name: one, **mine}) for one in every]}, **given)
+        every = mine.pop(first.name)
+        return command(**{name: [request(**{first.name: one, **mine}) for one in every]}, **given)
 
     # those that must be given stand first, as Python wants it
     signature = sorted([*made, *others], key=lambda one: one.default is not NOT_GIVEN)

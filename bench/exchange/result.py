@@ -8,8 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from bench.base.arrays import Floats, u_of
+from bench.base.result_model import Matrix, ResultModel
 from bench.base.text import one_line
 from bench.calibration.result import Derived, inverse, misalignments
 from bench.model.geometry import COEFFICIENTS, Block
@@ -30,9 +32,70 @@ class Row:
     U: float
     unit: str
 
-    def to_json(self) -> dict[str, Any]:
-        """Return it without its name."""
-        return {"value": self.value, "u": self.u, "U": self.U, "unit": self.unit}
+
+class RowPart(ResultModel):
+    """A number with its standard and its expanded uncertainty."""
+
+    value: float
+    u: float = Field(description="standard uncertainty")
+    U: float = Field(description="expanded uncertainty")
+    unit: str
+
+
+class DerivedPart(ResultModel):
+    """Numbers computed from the coefficients, with their joint covariance."""
+
+    values: dict[str, RowPart]
+    order: list[str]
+    covariance: Matrix = Field(description="in `order`")
+
+
+class InversePart(DerivedPart):
+    """N = K⁻¹ in g per unit, and U0: the twelve numbers of a = N (U − U0)."""
+
+    model: str
+
+
+class MisalignmentsPart(DerivedPart):
+    """The angles α_ji of the input axes, rad."""
+
+    convention: str
+
+
+class BlockPart(ResultModel):
+    """The block, where it is stated."""
+
+    type: str
+    serial: str
+
+
+class CoefficientsResult(ResultModel):
+    """What a navigation computer takes from a calibration; with several sources a list of these."""
+
+    source: str = Field(description="the run, readings file or result")
+    unit_under_test: BlockPart | None
+    made_at: str | None = Field(description="when the run was begun, ISO 8601")
+    bench: dict[str, str] | None = Field(description="the bench file, as in the result of `bench calibrate`")
+    certificates: list[str] = Field(description="the certificates of the instruments, in words")
+    simulated: bool
+    unit: str = Field(description="unit of the signals")
+    g_m_s2: float = Field(description="local gravity, m/s²: the g of all other members")
+    gravity_u: float = Field(
+        description="relative standard uncertainty of `g_m_s2`, which is in no number per g; 0 where the result "
+        "does not tell it"
+    )
+    k: float = Field(description="coverage factor of U")
+    combined: bool = Field(
+        description="whether u holds every source of the bench, or the stand and the noise of these readings alone"
+    )
+    coefficients: dict[str, RowPart] = Field(description="the twelve of U = K a + U0")
+    order: list[str]
+    covariance: Matrix = Field(description="covariance of the coefficients, in `order`")
+    covariance_readings: Matrix | None = Field(
+        description="the part of it that these readings show, where the result tells it apart"
+    )
+    inverse: InversePart
+    misalignments: MisalignmentsPart
 
 
 @dataclass(frozen=True)
@@ -134,35 +197,20 @@ class BlockResult:
         """Return the facts as lines."""
         return [f"{name}: {text}" if name != "mark" else text for name, text in self.facts().items()]
 
-    def to_json(self) -> dict[str, Any]:
-        """Return all of it."""
-        readings = self.covariance_readings
-        return {
-            "source": self.source,
-            "unit_under_test": {"type": self.block_type, "serial": self.serial} if self.block_name else None,
-            "made_at": self.made_at or None,
-            "bench": dict(self.bench) if self.bench else None,
-            "certificates": list(self.certificates),
-            "simulated": self.simulated,
-            "unit": self.unit,
-            "g_m_s2": self.g_m_s2,
-            "gravity_u": self.gravity_u,
-            "k": self.k,
-            "combined": self.combined,
-            "coefficients": {row.name: row.to_json() for row in self.coefficient_rows},
-            "order": list(COEFFICIENTS),
-            "covariance": self.covariance.tolist(),
-            "covariance_readings": None if readings is None else readings.tolist(),
-            "inverse": {
-                "model": "a = N (U - U0), a in g",
-                "values": {row.name: row.to_json() for row in self.inverse_rows},
-                "order": list(self.inverse.names),
-                "covariance": self.inverse.covariance.tolist(),
-            },
-            "misalignments": {
-                "convention": CONVENTION,
-                "values": {row.name: row.to_json() for row in self.misalignment_rows},
-                "order": list(self.misalignments.names),
-                "covariance": self.misalignments.covariance.tolist(),
-            },
-        }
+    def to_dict(self) -> dict[str, Any]:
+        """Return all of it as `bench coefficients --json` writes it."""
+        return CoefficientsResult.from_object(
+            self,
+            unit_under_test={"type": self.block_type, "serial": self.serial} if self.block_name else None,
+            made_at=self.made_at or None,
+            bench=self.bench or None,
+            coefficients={row.name: row for row in self.coefficient_rows},
+            order=list(COEFFICIENTS),
+            inverse=_derived(self.inverse, self.inverse_rows, model="a = N (U - U0), a in g"),
+            misalignments=_derived(self.misalignments, self.misalignment_rows, convention=CONVENTION),
+        ).to_dict()
+
+
+def _derived(derived: Derived, rows: list[Row], **said: str) -> dict[str, Any]:
+    values = {row.name: row for row in rows}
+    return {**said, "values": values, "order": derived.names, "covariance": derived.covariance}

@@ -20,7 +20,9 @@ RESULTS: Final = {
     "catalogue-unit": "catalogue.UnitResult",
     "chart": "control_chart.ChartResult",
     "check": "check.CheckResult",
+    "coefficients": "bench.exchange.result.CoefficientsResult",
     "compare": "compare.CompareResult",
+    "compensate": "compensation.CompensateResult",
     "diagnose": "diagnosis.DiagnoseResult",
     "diagnose-free": "free_diagnosis.FreeDiagnoseResult",
     "confirm": "confirm.ConfirmResult",
@@ -41,13 +43,15 @@ RESULTS: Final = {
     "require": "planning.RequireResult",
     "source-failed": "parts.FailedPart",
     "stability": "stability.StabilityResult",
+    "tumble": "tumble.TumbleResult",
     "verify": "verification.VerifyResult",
 }
-"""The model of each result, as module of this room and class, by the name of its schema."""
+"""The model of each result, as module (of this room, or in full) and class, by the name of its schema."""
 
 
 def model_of(name: str) -> type[ResultModel]:
     """Return the model of a result by name."""
-    module, _, model = RESULTS[name].partition(".")
-    found: type[ResultModel] = getattr(import_module(f"bench.results.{module}"), model)
+    module, _, model = RESULTS[name].rpartition(".")
+    place = module if module.startswith("bench.") else f"bench.results.{module}"
+    found: type[ResultModel] = getattr(import_module(place), model)
     return found

@@ -91,6 +91,7 @@ KINDS: Final[Mapping[str, Kind]] = {
     ),
     "procedure": _NAME,
     "model": _NAME,
+    "prior": _NAME,
     "effects": (lambda value: _is_name(value) or _is_list_of(_is_name)(value), "the names of files"),
     "coefficients": (
         lambda value: hasattr(value, "calibration") or _is_name(value),

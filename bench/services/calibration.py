@@ -38,6 +38,7 @@ from bench.services.coefficients import Coefficients, block_result, read_coeffic
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_of
 from bench.services.records import record_head
+from bench.services.requests.evaluation import Calibrate, Verify
 from bench.services.source import Source, provenance
 from bench.services.verification import NOTHING_ASKED, Asked, VerificationResult, judged, own_judgement
 
@@ -326,6 +327,18 @@ def calibration_of(
     return CalibrationResult(source, *with_prior(signed, source, prior))
 
 
+def calibrated(request: Calibrate, source: Source) -> CalibrationResult:
+    """Return the calibration of a source as it was asked for. Raises as `calibration_of`."""
+    return calibration_of(
+        source,
+        request.estimator,
+        nominal_angles=request.nominal_angles,
+        join_free=request.join_free,
+        join_verification=request.join_verification,
+        prior=None if request.prior is None else Path(request.prior),
+    )
+
+
 def _with_note_on_temperatures(source: Source) -> Source:
     """Note where the readings are at several temperatures, of which one calibration makes a mixture."""
     found = separate_temperatures(source.readings)
@@ -365,6 +378,12 @@ def verification_of(
         raise Refused(f"coefficients in {own.unit}/g, but the readings are in {source.readings.unit}")
     same = own if coefficients.source is source else None
     return judged(source, judgement, coefficients.as_coefficients(), same)
+
+
+def verified(request: Verify, source: Source) -> VerificationResult:
+    """Return the verification of a source as it was asked for. Raises as `verification_of`."""
+    given = request.coefficients
+    return verification_of(source, Path(given) if isinstance(given, str) else given, Asked.of(request))
 
 
 def report_page(

@@ -1,8 +1,8 @@
-"""Whole uncertainty of coefficients over temperature and of a tumble."""
+"""Coefficients over temperature, a tumble, and calibrations that a navigation computer takes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -10,21 +10,28 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.base.files import from_text, read_regular
+from bench.base.files import from_text, read_regular, to_text
 from bench.base.text import repeated
+from bench.calibration import Verification, verify
 from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import SourceOfError
+from bench.calibration.temperature.estimate import temperature_model
 from bench.calibration.temperature.model import TemperatureModel
+from bench.calibration.temperature.table import CompensationTable, c_header, make_table, table_csv
 from bench.calibration.tumble import DEFAULT, TumbleView, combine, tumble_view
 from bench.exchange.result import BlockResult
 from bench.model.geometry import COEFFICIENTS
+from bench.results.compensation import CompensateResult, compensate_result
+from bench.results.tumble import TumbleResult, tumble_result
 from bench.run.events import MANIFEST
 from bench.services.calibration import calibration_of
 from bench.services.coefficients import block_result
 from bench.services.errors import Refused
+from bench.services.requests.evaluation import Compensate
 from bench.services.source import Request, Source, load_sources
+from bench.services.verification import own_judgement
 
 OVER_TEMPERATURE: Final = ("temperature", "thermometer")
 """Errors that a model over temperature does not have as one of a single temperature has them."""
@@ -67,11 +74,108 @@ def _with(model: TemperatureModel, sources: tuple[SourceOfError, ...]) -> Temper
     return replace(model, covariance=covariance)
 
 
+@dataclass(frozen=True)
+class Compensation:
+    """Coefficients over temperature: the model, its table, and the verdicts by temperature.
+
+    `source` is the first of the sources with these `names`.
+    """
+
+    source: Source
+    names: tuple[str, ...]
+    model: TemperatureModel
+    table: CompensationTable
+    checks: tuple[tuple[float, Verification], ...]
+    result: CompensateResult
+
+    def accepted(self, *, strict: bool) -> bool:
+        """Whether all verdicts passed, and model and polynomials fit the readings."""
+        tests = [self.model.fitted, *([self.model.curve] if self.model.curve else [])]
+        return all(check.passed for _, check in self.checks) and all(t.accepted(strict=strict) for t in tests)
+
+    def files(self) -> Iterator[tuple[str, Path, str]]:
+        """Yield what is written: what it is, the file, and its text."""
+        unit = self.source.bench.unit_under_test
+        of = f"{unit.type} {unit.serial}".strip() + f", from {self.source.name}"
+        of += " (simulated instruments)" if self.source.simulated else ""
+        yield "result", self.source.output("compensate", ".json"), to_text(self.result.to_dict())
+        yield "C header", self.source.output("compensate", ".h"), c_header(self.model, self.table, of)
+        yield "table", self.source.output("compensate", ".csv"), table_csv(self.model, self.table, of)
+
+
+def compensated(request: Compensate, loaded: Sequence[Source]) -> Compensation:
+    """Return the coefficients of several sources as polynomials of the temperature.
+
+    Raises `Refused` where they are of benches with different gravity, or the degree is none, `CalibrationError`
+    where they do not determine the polynomials.
+    """
+    first, names = loaded[0], tuple(source.name for source in loaded)
+    strangers = [source.name for source in loaded if source.g_m_s2 != first.g_m_s2]
+    if strangers:
+        raise Refused(
+            f"{', '.join(strangers)}: another local gravity than in {first.name}; "
+            "a temperature model is made on one bench"
+        )
+    tables = [source.readings for source in loaded]
+    degree = _degree(request.degree)
+    shown = temperature_model(tables, first.model, first.stand_u, first.g_m_s2, request.reference, degree)
+    signed = sign_model(shown, first)
+    table = make_table(signed.combined, first.bench.unit_under_test.range, request.step)
+    checks = tuple(check for source in loaded for check in _checks(source, signed.same_meters))
+    result = compensate_result(
+        signed.combined,
+        of_readings=shown.covariance,
+        hidden=signed.sources,
+        shown=table,
+        checks=checks,
+        sources=names,
+        bench=first.taken.part(),
+        corrections=[part for source in loaded for part in source.traced.parts()],
+        simulated=any(source.simulated for source in loaded),
+    )
+    return Compensation(first, names, signed.combined, table, checks, result)
+
+
+def _degree(text: str) -> int | None:
+    if text == "auto":
+        return None
+    if text.isascii() and text.isdecimal() and 1 <= int(text) <= 6:
+        return int(text)
+    raise Refused(f"--degree {text}: expected 'auto', or a whole number from 1 to 6")
+
+
+def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Verification]]:
+    """Judge the verification points of a source, each at its own temperature; those within the range only."""
+    rows = source.readings.verification()
+    known = np.isfinite(rows.temperature_c) & ~model.outside(rows.temperature_c)
+    by = own_judgement(source)
+    noise = model.noise.widened().by_channel
+    for t in np.unique(rows.temperature_c[known]).tolist():
+        own = source.readings.select(
+            (source.readings.installation == "V") & (source.readings.temperature_c == t)
+        )
+        yield (
+            t,
+            verify(
+                own, model.block(t), model.covariance_at(t), noise, by.limit_g, rule=by.rule,
+                population=by.population,
+            ),
+        )  # fmt: skip
+
+
 def tumble_of(source: Source, terms: Sequence[str] = DEFAULT) -> TumbleView:
     """Return each axis of a source in the terms asked for. Raises `CalibrationError` where that cannot be."""
     assumed = {name: size.u for name, size in assumed_stand(source.bench).items()}
     view = tumble_view(source.readings, source.model, source.stand_u, source.g_m_s2, terms, assumed_u=assumed)
     return combine(view, source.bench, source.model, terms, source.traced.day)
+
+
+def tumbled(source: Source, terms: Sequence[str]) -> tuple[TumbleView, TumbleResult]:
+    """Return each axis of a source in the terms asked for, and the result. Raises as `tumble_of`."""
+    view = tumble_of(source, terms)
+    readings = source.readings
+    notes = [*view.lack_of_fit.diagnose(source.name), *view.notes, *readings.notes, *readings.skipped]
+    return view, tumble_result(view, **source.made_from(), notes=notes)
 
 
 # --- for a navigation computer ------------------------------------------------------------------------

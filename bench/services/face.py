@@ -18,19 +18,24 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from bench.calibration.estimators import GLS
 from bench.config.bench_file.file import BenchFile
 from bench.readings.csv import read_csv, read_frame
 from bench.readings.table import Readings
 from bench.services.arguments import DIAGNOSED, checked, python_call
 from bench.services.bench_selection import bench_of, find_bench_file, origin_beside
 from bench.services.bodies import single_bodies, whole_body
-from bench.services.calibration import CalibrationResult, calibration_of, verification_of
+from bench.services.calibration import (
+    CalibrationResult,
+    calibrated,
+    calibration_of,
+    verification_of,
+    verified,
+)
 from bench.services.confirmation import ConfirmationResult, confirmation_of
 from bench.services.diagnosis import Diagnosed, diagnosed, diagnosed_alone
 from bench.services.own_effects import knowing_effects_in
 from bench.services.requests.diagnosis import Diagnose
-from bench.services.requests.evaluation import Confirm
+from bench.services.requests.evaluation import Calibrate, Confirm, Verify
 from bench.services.requests.measuring import DryRunRequest, RunRequest
 from bench.services.source import Failed, Request, Source, load_sources, reading
 from bench.services.verification import Asked, VerificationResult
@@ -75,21 +80,7 @@ def read_readings(
     )
 
 
-@checked()
-def calibrate(
-    source: Data,
-    *,
-    bench: Bench = None,
-    model: str | Path | None = None,
-    effects: Effects = None,
-    g: float | None = None,
-    estimator: str = GLS,
-    nominal_angles: bool = False,
-    join_free: bool = True,
-    join_verification: bool = False,
-    skip_bad_rows: bool = False,
-    runs: str | Path | None = None,
-) -> CalibrationResult:
+def _calibrate(request: Calibrate) -> CalibrationResult:
     """Return the twelve coefficients of U = K a + U0 with their uncertainty, as `bench calibrate` finds them.
 
     `bench` gives the errors of the stand and local gravity; without it a run is evaluated with the bench file that
@@ -98,35 +89,15 @@ def calibrate(
     local gravity in m/s² in place of the bench file's, `model` a model file with effects beside the paper's terms,
     `effects` files with formulas of effects of the user's own,
     `runs` the folder of runs (BENCH_RUNS, or ./runs). `join_free` lets free positions (F) join by |a| = 1 g,
-    `join_verification` the verification points, `nominal_angles` takes the target angles.
+    `join_verification` the verification points, `nominal_angles` takes the target angles; `prior` is a file of
+    `bench fleet prior`, what units of the block's type tell.
     """
-    with knowing_effects_in(effects):
-        (loaded,) = _loaded([source], bench, model, g, runs, skip_bad_rows=skip_bad_rows)
-        return calibration_of(
-            loaded,
-            estimator,
-            nominal_angles=nominal_angles,
-            join_free=join_free,
-            join_verification=join_verification,
-        )
+    with knowing_effects_in(request.effects):
+        (source,) = load_sources(reading(request, request.source))
+        return calibrated(request, source)
 
 
-@checked()
-def verify(
-    source: Data,
-    *,
-    coefficients: str | Path | CalibrationResult | None = None,
-    limit: float | None = None,
-    rule: str | None = None,
-    guard_band: float | None = None,
-    population: tuple[float, float] | None = None,
-    bench: Bench = None,
-    model: str | Path | None = None,
-    effects: Effects = None,
-    g: float | None = None,
-    skip_bad_rows: bool = False,
-    runs: str | Path | None = None,
-) -> VerificationResult:
+def _verify(request: Verify) -> VerificationResult:
     """Return Δg (in g) at the verification points against the limit (g), as `bench verify` finds it.
 
     `coefficients` are those of another day: a result, or a file of `bench calibrate --json`; without them those of
@@ -135,12 +106,14 @@ def verify(
     g, which enter the risks. What is not given of these is the bench file's; a rule that nobody states is the
     non-binary one with 5 % of false acceptance at most. Else as in `calibrate`.
     """
-    asked = Asked(limit, rule, guard_band, population)
-    asked.check()
-    taken = Path(coefficients) if isinstance(coefficients, str) else coefficients
-    with knowing_effects_in(effects):
-        (loaded,) = _loaded([source], bench, model, g, runs, skip_bad_rows=skip_bad_rows)
-        return verification_of(loaded, taken, asked)
+    Asked.of(request)
+    with knowing_effects_in(request.effects):
+        (source,) = load_sources(reading(request, request.source))
+        return verified(request, source)
+
+
+calibrate = python_call(Calibrate, _calibrate)
+verify = python_call(Verify, _verify)
 
 
 def _diagnose(request: Diagnose) -> Diagnosed:

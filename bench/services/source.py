@@ -76,16 +76,16 @@ class Request:
     skip_bad_rows: bool = False
 
 
-def reading(asked: OnReadings, *sources: Given | Path) -> Request:
+def reading(asked: OnReadings, *sources: Given | Path, out: Path | None = None) -> Request:
     """Return what reads the sources of a request; relative places are those of where the program was called."""
-    model, out = getattr(asked, "model", None), getattr(asked, "out", None)
+    model, place = getattr(asked, "model", None), out or getattr(asked, "out", None)
     return Request(
         [str(source) if isinstance(source, Path) else source for source in sources],
         runs_folder(asked.runs),
         str(asked.bench) if isinstance(asked.bench, Path) else asked.bench,
         None if model is None else Path(model),
         asked.g,
-        None if out is None else Path(out),
+        None if place is None else Path(place),
         asked.skip_bad_rows,
     )
 

@@ -32,6 +32,7 @@ from bench.run.events import VerdictAsked
 from bench.run.folder import Run
 from bench.services.coefficients import Coefficients
 from bench.services.errors import Refused
+from bench.services.requests.evaluation import Judging
 from bench.services.source import Source
 
 
@@ -46,6 +47,13 @@ class Asked:
     rule: str | None = None
     guard_band: float | None = None
     population: tuple[float, float] | None = None
+
+    @classmethod
+    def of(cls, request: Judging) -> Asked:
+        """Return what a request asks for. Raises `Refused` as `check`."""
+        asked = cls(request.limit, request.rule, request.guard_band, request.population)
+        asked.check()
+        return asked
 
     @classmethod
     def of_run(cls, run: Run | None) -> Asked:

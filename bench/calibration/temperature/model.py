@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import Floats, HasCovariance, Ints, Mask, u_of
-from bench.base.numbers import finite_or_none
+from bench.base.arrays import Floats, HasCovariance, Ints, Mask
 from bench.calibration.result import CalibrationError, LackOfFit, Noise
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.table import REFERENCE, SHORTED, UNORIENTED, VERIFICATION, JoinedPart, Readings, together
@@ -311,58 +310,3 @@ class TemperatureModel:
         powers = np.arange(1, self.values.shape[1])
         below = self.powers(temperature_c)[:, :-1] * powers
         return np.asarray(below @ self.values[:, 1:].T, dtype=np.float64)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the result; NaN becomes null."""
-        u = u_of(self.covariance).reshape(self.values.shape)
-        count = self.values.shape[1]
-        return {
-            "unit": self.unit,
-            "g_m_s2": self.g_m_s2,
-            "reference_c": self.reference_c,
-            "valid_c": [self.minimum_c, self.maximum_c],
-            "coefficients": {
-                name: {
-                    "degree": int(self.degrees[j]),
-                    "terms": [{"power": d, "value": self.values[j, d], "u": u[j, d]} for d in range(count)],
-                }
-                for j, name in enumerate(COEFFICIENTS)
-            },
-            "order": [[name, d] for name in COEFFICIENTS for d in range(count)],
-            "covariance": self.covariance.tolist(),
-            "hysteresis": self.hysteresis and _hysteresis_json(self.hysteresis),
-            "plateaus": [_plateau_json(plateau) for plateau in self.plateaus],
-            "noise": {"reading": self.noise.reading, "setting_rad": self.noise.setting_rad},
-            "lack_of_fit": _fit_json(self.fitted),
-            "curve": self.curve and _fit_json(self.curve),
-            "readings": {"used": self.readings, "skipped": self.skipped},
-            "notes": list(self.notes),
-        }
-
-
-def _hysteresis_json(hysteresis: ThermalHysteresis) -> dict[str, Any]:
-    rows = zip(COEFFICIENTS, hysteresis.size, hysteresis.u, hysteresis.p_each, strict=True)
-    return {
-        "rising_minus_falling": {
-            name: {"value": float(size), "u": float(u), "p_all_looks": float(p)} for name, size, u, p in rows
-        },
-        "p": hysteresis.p,
-    }
-
-
-def _plateau_json(plateau: PlateauResult) -> dict[str, Any]:
-    return {
-        "temperature_c": plateau.temperature_c,
-        "branch": plateau.branch,
-        "readings": plateau.readings,
-        "coefficients": None
-        if plateau.value is None or plateau.u is None
-        else {
-            name: {"value": float(value), "u": float(u)}
-            for name, value, u in zip(COEFFICIENTS, plateau.value, plateau.u, strict=True)
-        },
-    }
-
-
-def _fit_json(fit: LackOfFit) -> dict[str, float | None]:
-    return {name: finite_or_none(getattr(fit, name)) for name in ("rms", "chi2", "dof", "p")}

@@ -6,7 +6,7 @@ import csv
 import io
 import itertools
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -166,17 +166,6 @@ def approximation(table: CompensationTable) -> dict[str, float | int]:
         "single_precision_g": error.single,
         "up_to_g": error.reach_g,
         "temperatures_checked": error.looks,
-    }
-
-
-def table_json(table: CompensationTable) -> dict[str, Any]:
-    """Return the table and what it adds in error."""
-    return {
-        "first_c": table.first_c,
-        "step_k": table.step_k,
-        "entries": list(INVERSE),
-        "rows": table.entries.astype(np.float64).tolist(),
-        "approximation": approximation(table),
     }
 
 

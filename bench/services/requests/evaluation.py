@@ -2,12 +2,183 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from bench.base.requests import Option
-from bench.services.requests.shared import Data, OnReadings
+from bench.services.requests.shared import (
+    Data,
+    Effects,
+    GuardBandField,
+    LimitField,
+    ModelField,
+    OnReadings,
+    RuleField,
+)
+
+if TYPE_CHECKING:
+    from typing import TypeAlias
+
+    from bench.services.calibration import CalibrationResult
+
+    Given: TypeAlias = str | Path | CalibrationResult | None
+    """Coefficients of another day: a result of `bench calibrate --json` by path, or one at hand."""
+else:
+    Given = Any
+
+ESTIMATORS_TOLD: Final = "The estimators."
+"""Help text that the command line replaces by the names there are."""
+
+SourceField = Annotated[
+    Data, Option("Run (name or path) or readings file.", argument=True, completes="sources", typed=str)
+]
+SeveralField = Annotated[
+    Data,
+    Option(
+        "Runs (name or path) or readings files.",
+        metavar="SOURCE…",
+        argument=True,
+        completes="sources",
+        typed=str,
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Calibrate(OnReadings):
+    """The coefficients of a block."""
+
+    source: SeveralField
+    _: KW_ONLY
+    model: ModelField = None
+    effects: Effects = None
+    estimator: Annotated[str, Option(ESTIMATORS_TOLD)] = "gls"
+    nominal_angles: Annotated[bool, Option("Target angles in place of those read back.")] = False
+    join_free: Annotated[bool, Option("Free positions (F) join the fit by |a| = 1 g.")] = True
+    join_verification: Annotated[bool, Option("So do verification points; they check nothing then.")] = False
+    prior: Annotated[
+        str | Path | None,
+        Option(
+            "What units of its type tell: a file of 'bench fleet prior'.", metavar="FILE", typed=Path | None
+        ),
+    ] = None
+
+    @property
+    def otherwise(self) -> bool:
+        """Whether anything is asked for that changes what a run's own result is."""
+        usual = (self.estimator, self.nominal_angles, self.join_free, self.join_verification, self.prior)
+        return usual != ("gls", False, True, False, None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judging(OnReadings):
+    """What requests for a verdict share: how it is to be found in place of what the bench file says."""
+
+    model: ModelField = None
+    limit: LimitField = None
+    rule: RuleField = None
+    guard_band: GuardBandField = None
+    population: Annotated[
+        tuple[float, float] | None,
+        Option(
+            "Mean and standard deviation of Δg over many blocks, g: they enter the risks.", metavar="MEAN SD"
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class Verify(Judging):
+    """Δg at the verification points against the limit."""
+
+    source: SeveralField
+    _: KW_ONLY
+    effects: Effects = None
+    coefficients: Annotated[
+        Given, Option("Result of 'calibrate --json' of another day.", metavar="FILE", typed=Path | None)
+    ] = None
+
+
+@dataclass(frozen=True)
+class Report(Judging):
+    """The page of a calibration."""
+
+    source: SourceField
+
+
+@dataclass(frozen=True)
+class Coefficients(OnReadings):
+    """What a navigation computer takes from calibrations."""
+
+    sources: Annotated[
+        Sequence[str],
+        Option(
+            "Results of calibrate --json, runs or readings files.",
+            metavar="SOURCE…",
+            argument=True,
+            typed=list[str],
+        ),
+    ]
+    _: KW_ONLY
+    model: ModelField = None
+    forms: Annotated[
+        Sequence[str] | None,
+        Option(
+            "json, csv, c, excel, kalibr, px4, ardupilot, or all; may be said several times (default: json).",
+            ("--as",),
+            metavar="FORM",
+            typed=list[str] | None,
+        ),
+    ] = None
+    nominal: Annotated[
+        str | None,
+        Option(
+            "Scale factors, unit/g (9.80665 m/s²), by which kalibr, px4 and ardupilot have the signals in m/s² "
+            "(default: the block's, rounded).",
+            metavar="X,Y,Z",
+        ),
+    ] = None
+
+
+SourcesField = Annotated[
+    Sequence[Data],
+    Option(
+        "Runs (name or path) or readings files.",
+        metavar="SOURCE…",
+        argument=True,
+        completes="sources",
+        typed=list[str],
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Compensate(OnReadings):
+    """Coefficients over temperature."""
+
+    sources: SourcesField
+    _: KW_ONLY
+    reference: Annotated[float, Option("Temperature about which the polynomials stand.", metavar="DEGC")] = (
+        23.0
+    )
+    degree: Annotated[str, Option("Degree for all, or each coefficient's by the data.", metavar="auto|N")] = (
+        "auto"
+    )
+    step: Annotated[
+        float | None, Option("Step of the table (default: as fine as u asks for).", metavar="K")
+    ] = None
+
+
+@dataclass(frozen=True)
+class Tumble(OnReadings):
+    """The terms of IEEE 1293 of each axis."""
+
+    sources: SourcesField
+    _: KW_ONLY
+    terms: Annotated[
+        str, Option("Nonlinear terms: of K2, K3, Koq, Kip, Kio, Kpo, Kpp, Koo.", metavar="TERM,…")
+    ] = "K2,K3,Koq"
 
 
 @dataclass(frozen=True)

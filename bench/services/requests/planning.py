@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import Annotated, Final
 
 from bench.base.requests import Option
-from bench.services.requests.shared import BenchField, GravityField, RunsField
+from bench.services.requests.shared import (
+    BenchField,
+    GravityField,
+    GuardBandField,
+    LimitField,
+    ModelField,
+    RuleField,
+    RunsField,
+)
 
 ESTIMATORS_IN_A_BUDGET: Final = "The estimators, in a budget."
 """Help text that the command line replaces by the names there are."""
@@ -53,10 +61,7 @@ class Budget:
     procedure: ProcedureField = "calibration"
     estimator: EstimatorField = "gls"
     _: KW_ONLY
-    model: Annotated[
-        str | Path | None,
-        Option("Model file: effects beside the paper's terms.", metavar="FILE", typed=Path | None),
-    ] = None
+    model: ModelField = None
     coefficients: Annotated[
         str | Path | None,
         Option(
@@ -66,21 +71,9 @@ class Budget:
     trials: Annotated[int, Option("Monte Carlo trials beside the linear result; 0 for none.", least=0)] = (
         20_000
     )
-    rule: Annotated[
-        str | None,
-        Option(
-            "simple: |Δg| within the limit; guarded: |Δg| + w within it, w = U; non-binary: with conditional "
-            "statements (default: the bench file's, or non-binary with w at 5 % false acceptance).",
-            metavar="RULE",
-        ),
-    ] = None
-    guard_band: Annotated[
-        float | None,
-        Option(
-            "Guard band of the rule: w = R U (default: the bench file's, or that of the rule).", metavar="R"
-        ),
-    ] = None
-    limit: Annotated[float | None, Option("Limit of |Δg| in g, in place of the bench file's.")] = None
+    rule: RuleField = None
+    guard_band: GuardBandField = None
+    limit: LimitField = None
     same_voltmeters: Annotated[
         bool, Option("The block is used with the calibration's voltmeters.", ("--same-voltmeters",))
     ] = False

@@ -49,6 +49,23 @@ RunsField = Annotated[
         typed=Path | None,
     ),
 ]
+ModelField = Annotated[
+    str | Path | None,
+    Option("Model file: effects beside the paper's terms.", metavar="FILE", typed=Path | None),
+]
+LimitField = Annotated[float | None, Option("Limit of |Δg| in g, in place of the bench file's.")]
+RuleField = Annotated[
+    str | None,
+    Option(
+        "simple: |Δg| within the limit; guarded: |Δg| + w within it, w = U; non-binary: with conditional "
+        "statements (default: the bench file's, or non-binary with w at 5 % false acceptance).",
+        metavar="RULE",
+    ),
+]
+GuardBandField = Annotated[
+    float | None,
+    Option("Guard band of the rule: w = R U (default: the bench file's, or that of the rule).", metavar="R"),
+]
 
 
 def runs_folder(runs: str | Path | None) -> Path:

@@ -10,7 +10,8 @@ import pytest
 
 from bench.calibration import CalibrationError
 from bench.calibration.temperature.estimate import temperature_model
-from bench.calibration.temperature.table import c_header, inverse_entries, make_table, table_csv, table_json
+from bench.calibration.temperature.table import c_header, inverse_entries, make_table, table_csv
+from bench.results.compensation import table_part
 from tests.support.paper_bench import STAND_U
 from tests.support.thermal_bench import MODEL, simulate, truth
 
@@ -85,7 +86,7 @@ def test_csv_and_json_hold_the_same_entries(model, table):
     assert len(rows) == table.nodes
     first = np.array([rows[0][name] for name in ("Nxx", "Nzz", "U0z")], dtype=np.float32)
     assert np.array_equal(first, table.entries[0, [0, 8, 11]])
-    plain = json.loads(json.dumps(table_json(table)))
+    plain = json.loads(json.dumps(table_part(table).to_dict()))
     assert np.array_equal(np.array(plain["rows"], dtype=np.float32), table.entries)
     assert plain["approximation"]["up_to_g"] == REACH_G
 

@@ -1,0 +1,295 @@
+"""The result of `bench compensate`: polynomials of temperature with tables, as JSON and as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final, Literal
+
+import numpy as np
+from pydantic import Field
+from rich.console import Console
+from rich.table import Table
+
+from bench.base.arrays import Floats, u_of
+from bench.base.numbers import fixed, places, scale_for
+from bench.base.result_model import Matrix, ResultModel
+from bench.base.tables import print_notes, table
+from bench.calibration.result import INVERSE, SourceOfError
+from bench.calibration.temperature.model import PlateauResult, TemperatureModel, ThermalHysteresis
+from bench.calibration.temperature.table import CompensationTable, approximation
+from bench.calibration.verification import Verification
+from bench.model.geometry import COEFFICIENTS
+from bench.results.parts import (
+    BenchPart,
+    CorrectionPart,
+    FitPart,
+    ReadingsPart,
+    UncertaintySourcePart,
+    ValuePart,
+    coefficient_unit,
+    uncertainty_source,
+    values_with_u,
+)
+from bench.results.verification import VerdictPart, verdict_line, verdict_members
+
+HYSTERESIS_P: Final = 0.05
+
+
+class TermPart(ValuePart):
+    """A term of a polynomial, in unit/g/K^power or unit/K^power."""
+
+    power: int
+
+
+class PolynomialPart(ResultModel):
+    """A coefficient as a polynomial of the temperature less the reference."""
+
+    degree: int
+    terms: list[TermPart]
+
+
+class DifferencePart(ValuePart):
+    """A coefficient reached with rising temperature less the same with falling."""
+
+    p_all_looks: float = Field(description="probability by chance alone, for the looks at all twelve")
+
+
+class HysteresisPart(ResultModel):
+    """Rising minus falling at the same temperature."""
+
+    rising_minus_falling: dict[str, DifferencePart]
+    p: float = Field(description="that of all twelve together")
+
+
+class PlateauPart(ResultModel):
+    """A temperature as reached from one side."""
+
+    temperature_c: float
+    branch: Literal[-1, 0, 1] = Field(description="rising (1), falling (-1), or neither")
+    readings: int
+    coefficients: dict[str, ValuePart] | None = Field(
+        description="null where its readings alone do not determine them"
+    )
+
+
+class ThermalNoisePart(ResultModel):
+    """Sizes of the noise, one standard deviation."""
+
+    reading: float
+    setting_rad: float
+
+
+class ApproximationPart(ResultModel):
+    """The error that the table adds, g."""
+
+    interpolation_bias_g: float = Field(description="at 0 g")
+    interpolation_per_g: float = Field(description="in addition for each g")
+    single_precision_g: float = Field(description="what single precision adds, up to `up_to_g`")
+    up_to_g: float
+    temperatures_checked: int
+
+
+class TablePart(ResultModel):
+    """N and U0 at equal steps of temperature."""
+
+    first_c: float
+    step_k: float
+    entries: list[str]
+    rows: Matrix
+    approximation: ApproximationPart
+
+
+class VerdictAtPart(VerdictPart):
+    """Δg at the verification points at one temperature."""
+
+    temperature_c: float
+
+
+class CompensateResult(ResultModel):
+    """Coefficients as polynomials of the temperature, with tables."""
+
+    unit: str
+    g_m_s2: float
+    reference_c: float
+    valid_c: list[float]
+    coefficients: dict[str, PolynomialPart]
+    order: list[tuple[str, int]] = Field(description="coefficient and power, in the order of `covariance`")
+    covariance: Matrix
+    covariance_readings: Matrix = Field(
+        description="the part that the readings and the stand as it is stated show"
+    )
+    uncertainty_sources: list[UncertaintySourcePart] = Field(
+        description="the errors in u that no reading shows, in the terms at the reference temperature"
+    )
+    hysteresis: HysteresisPart | None
+    plateaus: list[PlateauPart]
+    noise: ThermalNoisePart
+    lack_of_fit: FitPart
+    curve: FitPart | None = Field(description="the polynomials against coefficients free at each temperature")
+    readings: ReadingsPart
+    notes: list[str]
+    table: TablePart
+    verification: list[VerdictAtPart]
+    sources: list[str]
+    bench: BenchPart
+    corrections: list[CorrectionPart]
+    simulated: bool
+
+
+def compensate_result(
+    model: TemperatureModel,
+    *,
+    of_readings: Floats,
+    hidden: Sequence[SourceOfError],
+    shown: CompensationTable,
+    checks: Sequence[tuple[float, Verification]],
+    **made_from: Any,
+) -> CompensateResult:
+    """Return a temperature model as `--json` writes it.
+
+    `of_readings` is the covariance that the readings show, `hidden` are the errors that they do not, `checks` the
+    verifications by temperature; `made_from` are the members from `sources` on.
+    """
+    u, count = u_of(model.covariance).reshape(model.values.shape), model.values.shape[1]
+    return CompensateResult.from_object(
+        model,
+        valid_c=[model.minimum_c, model.maximum_c],
+        coefficients={
+            name: {
+                "degree": int(model.degrees[j]),
+                "terms": [
+                    {"power": d, "value": float(model.values[j, d]), "u": float(u[j, d])}
+                    for d in range(count)
+                ],
+            }
+            for j, name in enumerate(COEFFICIENTS)
+        },
+        order=[(name, d) for name in COEFFICIENTS for d in range(count)],
+        covariance_readings=of_readings,
+        uncertainty_sources=[uncertainty_source(source) for source in hidden],
+        hysteresis=model.hysteresis and _hysteresis(model.hysteresis),
+        plateaus=[_plateau(plateau) for plateau in model.plateaus],
+        lack_of_fit=model.fitted,
+        readings={"used": model.readings, "skipped": model.skipped},
+        table=table_part(shown),
+        verification=[
+            VerdictAtPart.from_object(check, **verdict_members(check), temperature_c=t) for t, check in checks
+        ],
+        **made_from,
+    )
+
+
+def table_part(shown: CompensationTable) -> TablePart:
+    """Return a table as results have it."""
+    return TablePart.from_object(
+        shown, entries=INVERSE, rows=shown.entries.astype(np.float64), approximation=approximation(shown)
+    )
+
+
+def _hysteresis(found: ThermalHysteresis) -> dict[str, Any]:
+    columns = (found.size.tolist(), found.u.tolist(), found.p_each.tolist())
+    rows = zip(COEFFICIENTS, *columns, strict=True)
+    differences = {name: {"value": size, "u": u, "p_all_looks": p} for name, size, u, p in rows}
+    return {"rising_minus_falling": differences, "p": found.p}
+
+
+def _plateau(plateau: PlateauResult) -> PlateauPart:
+    value, u = plateau.value, plateau.u
+    coefficients = None if value is None or u is None else values_with_u(value, u)
+    return PlateauPart.from_object(plateau, coefficients=coefficients)
+
+
+# --- as text ----------------------------------------------------------------------------------------
+
+
+def print_compensation(
+    model: TemperatureModel, shown: CompensationTable, names: Sequence[str], out: Console
+) -> None:
+    """Print the polynomials, the hysteresis, how well they fit, and what the table adds in error."""
+    out.print(
+        f"Temperature model of {', '.join(names)}: {model.readings} readings, {model.minimum_c:.1f} to "
+        f"{model.maximum_c:.1f} °C, about {model.reference_c:g} °C"
+    )
+    out.print(f"U = K(T) a + U0(T), a the specific force in g (+1 g on an upward axis), U in {model.unit}")
+    out.print(_coefficient_table(model))
+    _print_hysteresis(model, out)
+    _print_fit(model, out)
+    error = shown.error
+    out.print(
+        f"table: {shown.nodes} temperatures, every {shown.step_k:.3g} K; interpolation adds at most "
+        f"{error.bias * 1e6:.2g} µg and {error.per_g * 1e6:.2g} µg for each g, single precision "
+        f"{error.single * 1e6:.2g} µg up to {error.reach_g:g} g"
+    )
+    print_notes(out, model.notes)
+
+
+def print_checks(checks: Sequence[tuple[float, Verification]], out: Console) -> None:
+    """Print the verdict at each temperature."""
+    for t, check in checks:
+        out.print(verdict_line(f"verification at {t:.1f} °C", check), style="bold")
+
+
+def _coefficient_table(model: TemperatureModel) -> Table:
+    """Return each coefficient at the reference, its slope there, and how far it goes over the range."""
+    shown = table(
+        "coefficient", ">at the reference", ">u", ">per K there", ">u", ">degree", ">over the range", ""
+    )
+    u = u_of(model.covariance).reshape(model.values.shape)
+    swept = model.coefficients(np.linspace(model.minimum_c, model.maximum_c, 101))
+    for j, name in enumerate(COEFFICIENTS):
+        value, slope = model.values[j, :2]
+        digits, slope_digits = places(float(u[j, 0])), places(float(u[j, 1]))
+        shown.add_row(
+            name,
+            fixed(value, digits),
+            fixed(u[j, 0], digits),
+            fixed(slope, slope_digits),
+            fixed(u[j, 1], slope_digits),
+            str(model.degrees[j]),
+            fixed(float(np.ptp(swept[:, j])), digits),
+            coefficient_unit(name, model.unit),
+        )
+    return shown
+
+
+def _print_hysteresis(model: TemperatureModel, out: Console) -> None:
+    found = model.hysteresis
+    if found is None:
+        return
+    scale = scale_for(float(abs(found.size).max()), model.unit)
+    single = [
+        f"{name} {size / scale.size:+.2g} ± {u / scale.size:.2g}"
+        for name, size, u, p in zip(COEFFICIENTS, found.size, found.u, found.p_each, strict=True)
+        if p < HYSTERESIS_P
+    ]
+    which = (
+        f"{', '.join(single)} ({scale.unit}/g, biases in {scale.unit})" if single else "no single coefficient"
+    )
+    verdict = f"shown: {which}" if found.p < HYSTERESIS_P else "none shown"
+    out.print(f"hysteresis, rising minus falling: p = {found.p:.2g} for all twelve: {verdict}")
+    if found.p < HYSTERESIS_P:
+        out.print(
+            "  half of it either way is in the uncertainty: a reader of the table does not know the side"
+        )
+
+
+def _print_fit(model: TemperatureModel, out: Console) -> None:
+    tests = (
+        ("lack of fit against the repeats", model.fitted, "", "THE MODEL DOES NOT FIT the readings"),
+        (
+            "polynomials",
+            model.curve,
+            " against coefficients free at each temperature",
+            "THE CURVES ARE NOT THESE POLYNOMIALS: hysteresis that is not the same at all temperatures, a lag, or "
+            "too few degrees",
+        ),
+    )
+    for what, test, against, contradicted in tests:
+        if test is None:
+            continue
+        if not math.isfinite(test.p):
+            out.print(f"{what}: too little to tell")
+            continue
+        verdict = contradicted if test.shown else "none shown at 1 %"
+        out.print(f"{what}{against}: chi2 {test.chi2:.1f} for {test.dof}, p = {test.p:.2g}: {verdict}")

@@ -1,0 +1,181 @@
+"""The result of `bench tumble`: each accelerometer by the terms of IEEE Std 1293, as JSON and as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from pydantic import Field
+from rich.console import Console
+from rich.table import Table
+
+from bench.base.arrays import ARCSEC
+from bench.base.numbers import fixed, places
+from bench.base.result_model import Matrix, Real, ResultModel
+from bench.base.tables import print_notes, table
+from bench.calibration.budget.whole import OF_BLOCK
+from bench.calibration.tumble import K, TumbleView
+from bench.results.parts import BenchPart, CorrectionPart, ExpandedPart, FitPart, UnitPart
+
+CLOSE: Final = 0.95
+"""Two terms with a correlation beyond it are hardly told apart."""
+
+
+class QuantityPart(ExpandedPart):
+    """An estimate of an axis; `u` is combined where the result says so."""
+
+    u_readings: float = Field(description="the part that the readings and the stand as it is stated show")
+    contains: dict[str, float] = Field(
+        description="terms that cannot be separated from it, with their shares: what is estimated is the sum (of "
+        "K1 the shares are relative)"
+    )
+
+
+class AxisPart(ResultModel):
+    """The accelerometer of a channel."""
+
+    quantities: dict[str, QuantityPart] = Field(
+        description="K0 (bias), K1 (scale factor), the two misalignment angles with the paper's sign, and the "
+        "nonlinear terms asked for that are determined"
+    )
+    rank: int = Field(description="how many of `terms` the orientations determine")
+    terms: list[str] = Field(description="the terms asked for, linear ones first")
+    not_separable: dict[str, dict[str, float]] = Field(
+        description="terms that are not estimated, with what 1 of each looks like; empty where no reading shows it"
+    )
+    left_out: dict[str, dict[str, float]] = Field(
+        description="terms of the standard's model that are not fitted, with what 1 of each moves"
+    )
+
+
+class TumbleNoisePart(ResultModel):
+    """Sizes of the noise, one standard deviation."""
+
+    reading_v: float
+    setting_arcsec: float
+    dof: Real
+    source: str
+
+
+class TumbleResult(ResultModel):
+    """Each accelerometer of a multi-point tumble by the terms of IEEE Std 1293; of several sources a list."""
+
+    unit: str
+    g_m_s2: float
+    k: float = Field(description="coverage factor of U")
+    model: str
+    axes: dict[str, AxisPart] = Field(description="by channel")
+    order: list[str] = Field(description="channel and name of each quantity, in the order of `covariance`")
+    combined: bool = Field(description="whether u and `covariance` hold every source of the bench")
+    covariance: Matrix = Field(description="of all quantities of the three channels")
+    covariance_readings: Matrix = Field(
+        description="the part of it that the readings and the stand as it is stated show"
+    )
+    noise: TumbleNoisePart
+    residual: FitPart
+    readings: int
+    source: str
+    bench: BenchPart
+    made_at: str | None
+    unit_under_test: UnitPart | None
+    simulated: bool
+    corrections: list[CorrectionPart] = Field(
+        description="the certificates of the instruments; without any an empty list"
+    )
+    notes: list[str] = Field(description="what a reader of the result should know; rows that were skipped")
+
+
+def tumble_result(view: TumbleView, **made_from: Any) -> TumbleResult:
+    """Return the axes of a tumble as `--json` writes them; `made_from` are the members from `source` on."""
+    return TumbleResult.from_object(
+        view,
+        k=K,
+        model="E/K1 = K0 + a_i + cross-axis terms + K2 a_i^2 + K3 a_i^3 + Koq a_i |a_i| + ..., a in g",
+        axes={
+            own.channel: AxisPart.from_object(
+                own,
+                quantities={q.name: QuantityPart.from_object(q, U=K * q.u) for q in view.axes[own.channel]},
+                terms=own.asked,
+                not_separable=own.inseparable,
+                left_out=view.left_out[own.channel],
+            )
+            for own in view.judged
+        },
+        order=view.names,
+        noise=TumbleNoisePart.from_object(
+            view.noise, reading_v=view.noise.reading, setting_arcsec=view.noise.setting_rad / ARCSEC
+        ),
+        residual=view.lack_of_fit,
+        readings=len(view.fitted),
+        **made_from,
+    )
+
+
+# --- as text ----------------------------------------------------------------------------------------
+
+
+def print_tumble(view: TumbleView, name: str, on: Console) -> None:
+    """Print the quantities of each axis, what the orientations tell apart, and the fit."""
+    on.print(f"Tumble of {name}: {len(view.fitted)} readings, local g = {view.g_m_s2:.6g} m/s²")
+    on.print(
+        "E/K1 = K0 + a_i + cross-axis terms + K2 a_i² + K3 a_i³ + Koq a_i |a_i| + …, a in g, E in "
+        + view.unit
+    )
+    on.print(_table(view))
+    for own in view.judged:
+        on.print(own.sentence())
+    for first, second, r in _close(view):
+        on.print(
+            f"{first} and {second} hang together (r = {r:.3f}): a sum of them is known far better than each"
+        )
+    fit = view.lack_of_fit
+    if math.isfinite(fit.p):
+        verdict = "none shown at 1 %" if not fit.shown else "THESE TERMS DO NOT FIT the readings"
+        on.print(
+            f"lack of fit against the repeats: chi2 {fit.chi2:.1f} for {fit.dof}, p = {fit.p:.2g}: {verdict}"
+        )
+    else:
+        on.print("lack of fit: too few repeats to tell")
+    print_notes(on, list(_left_out(view)))
+
+
+def _table(view: TumbleView) -> Table:
+    """Return the quantities, rounded to two digits of u; angles in arcsec, all else of a channel in µg."""
+    shown = table("", "", ">value", ">u", ">U (k=2)", ">u, readings", "")
+    for channel, quantities in view.axes.items():
+        for q in quantities:
+            times, unit = 1.0, q.unit
+            if q.unit == "rad":
+                times, unit = 1.0 / ARCSEC, "arcsec"
+            elif q.unit == "g" or q.unit.startswith("g/g^"):
+                times, unit = 1e6, q.unit.replace("g", "µg", 1).replace("^2", "²").replace("^3", "³")
+            digits = places(times * q.u)
+            cells = (fixed(times * size, digits) for size in (q.value, q.u, 2 * q.u, q.u_readings))
+            shown.add_row(channel, q.words, *cells, unit)
+    return shown
+
+
+def _close(view: TumbleView) -> Iterator[tuple[str, str, float]]:
+    """Yield pairs of nonlinear terms of one channel that are hardly told apart, with their correlation."""
+    for channel, own in view.axes.items():
+        terms = [f"{channel}.{q.name}" for q in own if "g/g^" in q.unit]
+        for n, first in enumerate(terms):
+            for second in terms[n + 1 :]:
+                r = view.correlation(first, second)
+                if abs(r) > CLOSE:
+                    yield first, second, r
+
+
+def _left_out(view: TumbleView) -> Iterator[str]:
+    """Yield what terms that were left out move, a sentence each."""
+    for channel, by_term in view.left_out.items():
+        for term, moved in by_term.items():
+            if moved:
+                said = "not fitted, but in u," if view.combined and term in OF_BLOCK else "taken as zero"
+                yield f"{term} {said} in channel {channel}: 1 µg/g² of {term} moves {_moved(moved)}"
+
+
+def _moved(moved: Mapping[str, float]) -> str:
+    """Return what a term that was left out moves, in words: "K0 by +0.50"."""
+    return ", ".join(f"{name} by {fixed(by, 2, sign=True)}" for name, by in moved.items())
