@@ -16,9 +16,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from bench.diagnosis.evidence import Search, Whitened
+from bench.diagnosis.evidence import Search, Whitened, null_responses, total_evidence
 from bench.diagnosis.noise_grid import make_noise_grid
-from bench.diagnosis.threshold import null_responses, total_evidence
 from benchmarks.campaign import arguments
 from tests.support.diagnosis_bench import NOISE_V, Set, paper_run, set_up
 from tests.support.paper_bench import SETTING_U_RAD

@@ -20,7 +20,7 @@ import numpy as np
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.diagnosis import ThresholdCache
-from bench.diagnosis.full import diagnose_fully
+from bench.diagnosis.pipeline import diagnose_fully
 from bench.model import ForwardModel
 from benchmarks.blind_trial.adapter import LOCAL_GRAVITY, STATED_BENCH
 from benchmarks.blind_trial.cases import Case, Row, make_case

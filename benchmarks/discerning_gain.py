@@ -19,13 +19,12 @@ from bench.config.procedure.load import load_procedure
 from bench.config.procedure.steps import Read
 from bench.config.shipped import find_bench, find_procedure
 from bench.diagnosis.candidates import make_candidates
-from bench.diagnosis.evidence import Whitened
+from bench.diagnosis.evidence import Whitened, make_threshold
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.naming import Found, name
 from bench.diagnosis.next_measurement import planned_readings
 from bench.diagnosis.noise_grid import make_noise_grid
 from bench.diagnosis.posterior import NoiseSize
-from bench.diagnosis.threshold import make_threshold
 from bench.diagnosis.visibility import EffectPart, Form, ReadingDesign
 from bench.model import CATALOGUE, ForwardModel
 from bench.readings.table import UNORIENTED, VERIFICATION

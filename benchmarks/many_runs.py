@@ -28,7 +28,7 @@ def measure(runs: int, blocks: bool) -> tuple[float, float, str]:
     from bench.config.bench_file.file import load_bench
     from bench.config.shipped import find_bench
     from bench.diagnosis import ThresholdCache
-    from bench.diagnosis.full import diagnose_fully
+    from bench.diagnosis.pipeline import diagnose_fully
     from bench.model import ForwardModel
     from bench.results.diagnosis_page import render_diagnosis
     from bench.results.diagnosis_words import NO_FILES

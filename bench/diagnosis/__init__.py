@@ -1,7 +1,7 @@
 """Find where simulation and readings disagree, name the missing effect, add it, show how the gap shrinks."""
 
+from bench.diagnosis.evidence import Threshold, ThresholdCache
 from bench.diagnosis.pipeline import diagnose
 from bench.diagnosis.result import Diagnosis, NamedEffect
-from bench.diagnosis.threshold import Threshold, ThresholdCache
 
 __all__ = ["Diagnosis", "NamedEffect", "Threshold", "ThresholdCache", "diagnose"]

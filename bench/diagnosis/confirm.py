@@ -18,15 +18,14 @@ from scipy import special
 from bench.base.arrays import CHANNELS, Floats
 from bench.calibration import CalibrationError
 from bench.calibration.design import FIXED, EffectUnknown
-from bench.diagnosis.evidence import KNOWN_SIZE
-from bench.diagnosis.free_result import FreeDiagnosis
+from bench.diagnosis.evidence import KNOWN_SIZE, ThresholdCache
+from bench.diagnosis.free_records import FreeDiagnosis
 from bench.diagnosis.gap import BY_CHANCE, LEAST_CLOSED, part_closed, rms
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.pipeline import diagnose
 from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows
 from bench.diagnosis.result import Diagnosis, EffectValue
 from bench.diagnosis.single_run_search import in_the_noise_of
-from bench.diagnosis.threshold import ThresholdCache
 from bench.model import AppliedEffect, ForwardModel
 from bench.model.effects.base import InPart
 from bench.readings.table import Readings

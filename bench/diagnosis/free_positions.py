@@ -15,9 +15,18 @@ from bench.calibration.design import FIXED, UPPER
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import ZERO_BY_RUN, Candidates
 from bench.diagnosis.confirm import STILL_SEEN, Confirmation, Estimated, Model, judged, square
-from bench.diagnosis.evidence import KNOWN_SIZE, Data, Search, Whitened
-from bench.diagnosis.free_records import OWN, BetweenRecords, FreeRows, between_records, make_rows
-from bench.diagnosis.free_result import FreeDiagnosis, FreeFit, FreeFound, place_of
+from bench.diagnosis.evidence import KNOWN_SIZE, Data, Search, Threshold, Whitened, fit_tail, total_evidence
+from bench.diagnosis.free_records import (
+    OWN,
+    BetweenRecords,
+    FreeDiagnosis,
+    FreeFit,
+    FreeFound,
+    FreeRows,
+    between_records,
+    make_rows,
+    place_of,
+)
 from bench.diagnosis.free_search import (
     COMMON,
     LEAST_FREEDOM,
@@ -31,7 +40,6 @@ from bench.diagnosis.gap import Fold, Gap, HeldOut
 from bench.diagnosis.naming import Found, Naming, name
 from bench.diagnosis.posterior import NoiseSize, applied_of
 from bench.diagnosis.result import UNNAMED_WORDS, EffectValue
-from bench.diagnosis.threshold import Threshold, fit_tail, total_evidence
 from bench.model.effects import CATALOGUE, AppliedEffect
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block

@@ -13,12 +13,11 @@ from scipy import special
 from bench.base.arrays import Floats, Mask
 from bench.base.computing import tracked
 from bench.diagnosis.candidates import Candidates
-from bench.diagnosis.evidence import Search, Whitened
+from bench.diagnosis.evidence import Search, Threshold, Whitened
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows
 from bench.diagnosis.naming import Naming, name
 from bench.diagnosis.noise_grid import RATIOS, coupled, make_noise_grid
 from bench.diagnosis.posterior import NoiseSize, posterior, predicted_error, whiten_rows
-from bench.diagnosis.threshold import Threshold
 
 FLOOR: Final = 1.0
 """Reduced chi-square of readings held out when nothing is missing."""

@@ -11,8 +11,16 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.diagnosis.candidates import SLIP, UNNAMED, Variant
-from bench.diagnosis.evidence import KNOWN_SIZE, Data, Scores, Search, Whitened, beside_each
-from bench.diagnosis.threshold import Threshold, total_evidence
+from bench.diagnosis.evidence import (
+    KNOWN_SIZE,
+    Data,
+    Scores,
+    Search,
+    Threshold,
+    Whitened,
+    beside_each,
+    total_evidence,
+)
 from bench.model.effects import CATALOGUE
 
 MOST_EFFECTS: Final = 5

@@ -1,4 +1,4 @@
-"""The linear system in units of its noise, over a grid of noise ratios; products of its columns."""
+"""The linear system in units of its noise, over a grid of noise ratios; the noise from repeats alone."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from functools import cached_property
 from typing import Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import special
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from bench.base.arrays import Floats, Ints, Mask
-from bench.diagnosis.linear import LinearSystem
+from bench.diagnosis.linear import LinearSystem, RunSizes
+from bench.readings.table import Readings
 
 
 def coupled(matrix: Floats) -> Iterator[tuple[Ints, Ints]]:
@@ -315,3 +318,252 @@ class OfGram:
     def at(self, ratio: int) -> OfGram:
         """Return those of one ratio alone."""
         return OfGram(self.gram[ratio : ratio + 1])
+
+
+# --- the noise, from repeats ----------------------------------------------------------------------
+
+
+LEAST_FREEDOM: Final = 6
+"""Settings beyond the saturated description below which repeats tell too little."""
+RATIOS2: Final = np.append(0.0, np.geomspace(1e-2, 1e6, 81))
+"""Variances of what is along du/dphi, at its largest, that are tried: in variances of the noise."""
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """Noise of a reading (unit of the signal) from what repeats of a setting leave; `freedom` in settings."""
+
+    sigma: float
+    freedom: int
+
+
+def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
+    """Return the scatter about a free value for each mounting and angle, each pass, and a slope in each mounting.
+
+    A pass is free in its bias and in a wave once a turn: what slips, is set anew or exchanged between passes is
+    no noise. Noise and setting error, which is along du/dphi, are the likeliest for what is left (restricted
+    likelihood): what describes a setting brings errors of others to it, across its own du/dphi as well. Where there
+    are too few repeats, the scatter about the model stands in. Never below rounding to `resolution`.
+    """
+    parts = parts_of_repeats(linear)
+    floor = max(resolution / np.sqrt(12.0), 1e-11 * float(np.max(np.abs(linear.readings.signal))))
+    if parts.freedom < LEAST_FREEDOM:
+        return Repeats(max(_about_model(linear), floor), max(linear.settings - 4, 1))
+    return Repeats(max(likeliest(parts).sigma, floor), parts.freedom)
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Squares (m,) of independent parts of what repeats leave, and the setting error's share `along` (m,) in each.
+
+    In units of the rows' noise beside each other; `freedom` in settings.
+    """
+
+    squares: Floats
+    along: Floats
+    freedom: int
+
+
+@dataclass(frozen=True)
+class Likeliest:
+    """The likeliest noise, its degrees of freedom beside a setting error, and the squares over what is expected."""
+
+    sigma: float
+    freedom: float
+    scaled: Floats
+
+
+def parts_of_repeats(linear: LinearSystem, chosen: Mask | None = None) -> Parts:
+    """Return what repeats of settings leave, of all readings or of those `chosen` (n,): whole mountings."""
+    oriented = linear.setting >= 0
+    readings = linear.readings
+    reading = linear.rows.reading[oriented][::3]
+    left = (linear.response / linear.relative)[oriented].reshape(-1, 3)
+    slope = (linear.slope / linear.relative)[oriented].reshape(-1, 3)
+    angle = np.round(np.degrees(readings.angle_rad[reading]) / 5.0).astype(int)
+    mount = np.array(_mounts(linear))
+    used = np.ones(len(mount), dtype=bool) if chosen is None else chosen[reading]
+    squares, along, freedom = [np.zeros(0)], [np.zeros(0)], 0
+    for label in dict.fromkeys(mount[used].tolist()):
+        own = mount == label
+        passes = readings.pass_number[reading]
+        free = _beyond(_saturated(angle[own], passes[own], readings.angle_rad[reading][own]))
+        part = _of_mount(free, left[own], slope[own])
+        squares.append(part[0])
+        along.append(part[1])
+        freedom += free.shape[1]
+    return Parts(np.concatenate(squares), np.concatenate(along), freedom)
+
+
+def _of_mount(free: Floats, left: Floats, slope: Floats) -> tuple[Floats, Floats]:
+    """Return the squares (3k,) of independent parts of what is `left` (n, 3), and the setting error's part in each.
+
+    `free` (n, k) spans what no description of the settings reaches. In units of the channels' noise.
+    """
+    turned = (free[:, :, None] * slope[:, None, :]).reshape(len(slope), -1).T
+    vectors, size, _ = np.linalg.svd(turned)
+    parts = vectors.T @ (free.T @ left).ravel()
+    along = np.zeros(len(parts))
+    along[: len(size)] = size**2
+    return parts**2, along
+
+
+def likeliest(parts: Parts) -> Likeliest:
+    """Return the noise of which, with a setting error, these parts are the likeliest."""
+    squares, along = parts.squares, parts.along
+    ratio = RATIOS2 / max(float(along.max()), 1e-300)
+    size = 1.0 + np.outer(ratio, along)
+    noise2 = np.mean(squares / size, axis=1)
+    misfit = len(squares) * np.log(np.maximum(noise2, 1e-300)) + np.sum(np.log(size), axis=1)
+    best = int(np.argmin(misfit))
+    # of the information on the noise the setting error takes what both have in common
+    shared = along / size[best]
+    taken = float(shared.sum()) ** 2 / max(float(shared @ shared), 1e-300)
+    expected = np.maximum(noise2[best], 1e-300) * size[best]
+    return Likeliest(float(np.sqrt(noise2[best])), len(squares) - taken, squares / expected)
+
+
+def _about_model(linear: LinearSystem) -> float:
+    """Return the scatter about the model across du/dphi."""
+    oriented = linear.setting >= 0
+    left = linear.response[oriented]
+    whole = np.concatenate([linear.fixed, linear.random], axis=1)[oriented]
+    rest = (left - whole @ np.linalg.lstsq(whole, left, rcond=None)[0]).reshape(-1, 3)
+    slope = linear.slope[oriented].reshape(-1, 3)
+    unit = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-300)
+    across = rest - np.sum(rest * unit, axis=1, keepdims=True) * unit
+    # of unequal channels what is left across du/dphi is that of the two that turn least with it
+    share = np.mean(np.sum(linear.by_channel**2 * (1.0 - unit**2), axis=1)) / 2
+    return float(np.sqrt(np.sum(across**2) / (2 * max(len(rest) - 4, 1)) / share))
+
+
+def cells_of(linear: LinearSystem) -> NDArray[np.int64]:
+    """Number the settings by mounting and angle, to 5 deg: those of a number repeat each other, shape (n,)."""
+    reading = linear.rows.reading[linear.setting >= 0][::3]
+    angle = np.round(np.degrees(linear.readings.angle_rad[reading]) / 5.0).astype(int)
+    keys = list(zip(_mounts(linear), angle.tolist(), strict=True))
+    number = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+    return np.array([number[key] for key in keys], dtype=np.int64)
+
+
+def _mounts(linear: LinearSystem) -> list[str]:
+    readings, reading = linear.readings, linear.rows.reading[linear.setting >= 0][::3]
+    return [f"{s}/{i}" for s, i in zip(readings.series[reading], readings.installation[reading], strict=True)]
+
+
+def _saturated(angle: Ints, passes: Ints, angle_rad: Floats) -> Floats:
+    """Return the columns that describe the settings of a mounting freely."""
+    cells = (angle[:, None] == np.unique(angle)).astype(np.float64)
+    of_pass = (passes[:, None] == np.unique(passes)).astype(np.float64)
+    waves = [of_pass * np.cos(angle_rad)[:, None], of_pass * np.sin(angle_rad)[:, None]]
+    rank = np.arange(len(angle), dtype=np.float64)[:, None] / len(angle)
+    return np.column_stack([cells, of_pass, *waves, rank])
+
+
+def _beyond(columns: Floats) -> Floats:
+    """Return an orthonormal basis (n, k) of what the columns (n, p) do not reach."""
+    u, size, _ = np.linalg.svd(columns)
+    return np.asarray(u[:, np.count_nonzero(size > 1e-9 * size[0]) :])
+
+
+HARDLY_ANY: Final = 0.1
+"""A part of the noise so small that it may be left out."""
+TERMS: Final = 30
+
+
+def digit_of(readings: Readings) -> float:
+    """Return the step of the signals' last digit, unit of the signal: 2e-5 where all are even at 1e-5; 0: none."""
+    resolution = readings.resolution
+    if not resolution > 0.0 or readings.resolution_read is not None:
+        return resolution
+    steps = np.round(readings.signal / resolution).astype(np.int64)
+    return resolution * max(int(np.gcd.reduce(steps.ravel())), 1)
+
+
+def is_coarse(digit: float, sigma: float) -> bool:
+    """Whether the last digit is coarser than the noise `sigma`, rounding included."""
+    return digit > sigma
+
+
+def is_rounded(digit: float, sigma: float) -> bool:
+    """Whether rounding repeats itself: the noise is then believed to be `sigma`, that of the digit at least."""
+    return repeated(digit, sigma) > HARDLY_ANY * sigma
+
+
+def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:
+    """Return the system in which readings of a setting share an error of rounding, where that is not negligible.
+
+    `sigma` is the noise as the repeats give it, never less than that of rounding.
+    """
+    if not is_rounded(digit, sigma):
+        return linear
+    size = repeated(digit, sigma)
+    oriented = np.flatnonzero(linear.setting >= 0)
+    key = 3 * np.repeat(cells_of(linear), 3) + linear.rows.channel[oriented]
+    columns = np.zeros((len(linear), int(key.max()) + 1))
+    columns[oriented, key] = size
+    return linear.with_noise(columns)
+
+
+def grid_with_rounding(linear: LinearSystem, sigma: float, setting_rad: float, digit: float) -> NoiseGrid:
+    """Return the maps of `make_noise_grid`; the noise is believed where rounding repeats itself."""
+    return replace(make_noise_grid(linear, sigma, setting_rad), known=is_rounded(digit, sigma))
+
+
+def repeated(digit: float, sigma: float) -> float:
+    """Return the standard deviation of the error of rounding that repeats, unit of the signal."""
+    if not digit > 0.0:
+        return 0.0
+    s2 = max(sigma**2 / digit**2 - 1.0 / 12.0, 0.0)
+    k2 = np.arange(1, TERMS + 1) ** 2
+    return float(digit * np.sqrt(np.sum(np.exp(-4 * np.pi**2 * k2 * s2) / (2 * np.pi**2 * k2))))
+
+
+UNEQUAL_P: Final = 0.01
+"""Runs have sizes of their own where chance alone makes them so different less often than this."""
+
+
+def with_sizes_of_runs(linear: LinearSystem, least: float) -> LinearSystem:
+    """Return the system in which each run has noise of its own size, where the runs are not alike.
+
+    `least` is the least noise that is believed, unit of the signal: below it digits tell, not runs. Where a run has
+    too few repeats to tell its noise all count as alike.
+    """
+    by_run = _by_run(linear, least)
+    return linear if by_run is None else replace(linear, by_run=by_run)
+
+
+def _by_run(linear: LinearSystem, least: float) -> RunSizes | None:
+    readings = linear.readings
+    numbers = np.unique(readings.run)
+    if len(numbers) < 2:
+        return None
+    found: list[Likeliest] = []
+    for number in numbers:
+        parts = parts_of_repeats(linear, readings.run == number)
+        if parts.freedom < LEAST_FREEDOM:
+            return None
+        found.append(likeliest(parts))
+    freedom = np.array([one.freedom for one in found])
+    variance = np.maximum([one.sigma**2 for one in found], least**2)
+    if p_alike(variance, freedom, _kurtosis(found)) >= UNEQUAL_P:
+        return None
+    rows = np.bincount(readings.run[linear.rows.reading], minlength=len(numbers))
+    return RunSizes(np.sqrt(variance / np.average(variance, weights=rows)), freedom)
+
+
+def p_alike(variance: Floats, freedom: Floats, kurtosis: float) -> float:
+    """Return the probability of variances (runs,) so different where all are alike, each of so many degrees.
+
+    `kurtosis` is the excess of what they are of.
+    """
+    runs, whole = len(variance), float(freedom.sum())
+    apart = whole * np.log(np.average(variance, weights=freedom)) - float(freedom @ np.log(variance))
+    apart /= 1.0 + (float(np.sum(1.0 / freedom)) - 1.0 / whole) / (3.0 * (runs - 1))
+    return float(special.chdtrc(runs - 1, max(float(apart), 0.0) / (1.0 + max(kurtosis, 0.0) / 2.0)))
+
+
+def _kurtosis(found: list[Likeliest]) -> float:
+    """Return the excess kurtosis of what the repeats leave, each run in units of its own noise."""
+    squares = np.concatenate([one.scaled for one in found])
+    return float(np.mean(squares**2) / np.mean(squares) ** 2 - 3.0)

@@ -1,15 +1,17 @@
-"""Find where readings and model disagree, name what is missing, and measure how far naming it closes the gap."""
+"""Find where readings and model disagree, name what is missing, measure the gap, and show what follows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats
+from bench.calibration.design import FIXED
+from bench.config.bench_file.file import BenchFile
 from bench.diagnosis.candidates import (
     FREE_BY_ANGLE,
     FREE_BY_PASS,
@@ -18,24 +20,29 @@ from bench.diagnosis.candidates import (
     KnownBench,
     Variant,
 )
-from bench.diagnosis.evidence import Data, Search, Whitened
+from bench.diagnosis.evidence import Data, Search, Threshold, ThresholdCache, Whitened
 from bench.diagnosis.gap import Gap, measure_gap, near_ratios
-from bench.diagnosis.multi_run_system import find_mistakes_in_each, with_blocks
-from bench.diagnosis.naming import Naming, same_signature
-from bench.diagnosis.noise_grid import RATIOS
-from bench.diagnosis.noise_kinds import NoiseFinding, noise_findings, noise_kinds
-from bench.diagnosis.one_run import look_at_runs
+from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.multi_run_system import find_mistakes_in_each, search_runs, with_blocks
+from bench.diagnosis.naming import Naming, Scored, same_signature
+from bench.diagnosis.next_measurement import Proposal, propose
+from bench.diagnosis.noise_grid import RATIOS, digit_of
+from bench.diagnosis.noise_kinds import NoiseFinding, NoiseKind, noise_findings, noise_kinds
 from bench.diagnosis.posterior import (
+    NoiseSize,
     Posterior,
     applied_of,
+    beside,
+    channels_of,
     common_volts,
     fit_found,
     known_together,
+    left_open,
     noise_size,
+    posterior,
+    with_other_shapes,
 )
-from bench.diagnosis.repeats import digit_of
-from bench.diagnosis.residual_model import describe
-from bench.diagnosis.residual_search import UNNAMED_FORM, Setting, unnamed_in_place
+from bench.diagnosis.residual_model import UNNAMED_FORM, FreeForm, Setting, describe, unnamed_in_place
 from bench.diagnosis.result import (
     UNNAMED_WORDS,
     Diagnosis,
@@ -46,12 +53,12 @@ from bench.diagnosis.result import (
     at_reference,
     register,
 )
-from bench.diagnosis.shapes import beside, channels_of, left_open, with_other_shapes
-from bench.diagnosis.single_run_search import look
-from bench.diagnosis.threshold import Threshold, ThresholdCache
+from bench.diagnosis.show import Shown, contradicted, show
+from bench.diagnosis.single_run_search import Prepared, search_run
 from bench.diagnosis.visibility import detectable, hidden, smallest
 from bench.diagnosis.where import find_places, looking_like, order_of
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
+from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import Readings
 
 UNEXPLAINED: Final = 1e-3
@@ -75,99 +82,155 @@ def diagnose(
     candidates. The record is never changed: a mistake is corrected in a copy. Raises
     `CalibrationError` where the readings do not determine the coefficients.
     """
-    stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
-    setting_rad = stand_u.get("setting_error", 0.0)
     readings = with_blocks(readings, model)
     mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
     absent = there.absent(mistakes.corrected)
-    find = look_at_runs if mistakes.corrected.run.any() else look
-    digit = digit_of(readings)
-    looked, naming = find(
-        mistakes.corrected, model, stand, setting_rad, cache or ThresholdCache(None), digit, absent
+    setting_rad = stand_u.get("setting_error", 0.0)
+    prepared, naming = _named(mistakes.corrected, model, stand_u, cache, digit_of(readings), absent)
+    estimated = _estimated(prepared, naming)
+    gap = measure_gap(
+        prepared.linear, prepared.whitened, naming, estimated.noise, prepared.limit, setting_rad
     )
-    linear, candidates, whitened, data = looked.linear, looked.candidates, looked.whitened, looked.data
-    repeats, grid, limit = looked.repeats, looked.whitened.grid, looked.limit
-    registered = register(linear, limit)
+    registered = register(prepared.linear, prepared.limit)
+    findings, kinds = _noise(prepared, estimated.noise, readings, stand_u)
+    effects, form = _unnamed(prepared, naming, estimated, findings, gap, setting_rad)
+    verdict = _verdict(effects, findings, gap)
+    linear, whitened, repeats = prepared.linear, prepared.whitened, prepared.repeats
+    ratio = RATIOS.index(near_ratios(linear, estimated.noise)[1])
+    sizes = detectable(whitened, prepared.limit, ratio)
+    unseen = hidden(whitened, prepared.limit, ratio, sizes)
+    elsewhere = {applied.effect.name for applied in model.effects} | absent.keys()
+    return Diagnosis(
+        verdict="mistake" if mistakes.mistakes else verdict,
+        of_copy=verdict,
+        form=form,
+        where=find_places(linear, whitened.grid, ratio, repeats.sigma, 3 * repeats.freedom),
+        mistakes=mistakes,
+        effects=effects,
+        hidden={family: parts for family, parts in unseen.items() if family not in elsewhere},
+        absent=absent,
+        unseen_per_turn=looking_like(linear.moved.angle_rad, 0),
+        detectable={family: size for family, size in sizes.items() if family not in absent},
+        smallest=smallest(whitened, prepared.limit, ratio),
+        gap=gap,
+        registered=registered,
+        linear=linear,
+        candidates=prepared.candidates,
+        naming=naming,
+        fitted=estimated.fitted,
+        in_part=estimated.in_part,
+        left_open=estimated.left_open,
+        noise=estimated.noise,
+        p_left=estimated.p_left,
+        whitened=whitened,
+        data=prepared.data,
+        findings=findings,
+        weighed=prepared.weighed,
+        noise_kinds=kinds,
+        notes=(
+            *readings.notes,
+            *(finding.words for finding in findings),
+            *(kind.words for kind in kinds),
+            *assumed(linear),
+            *at_reference(e.applied[0].effect for e in effects if e.applied),
+            *common_volts(naming, estimated.sized, linear),
+            *same_signature(naming),
+        ),
+    )
+
+
+def _named(
+    readings: Readings,
+    model: ForwardModel,
+    stand_u: Mapping[str, float],
+    cache: ThresholdCache | None,
+    digit: float,
+    absent: Mapping[str, str],
+) -> tuple[Prepared, Naming]:
+    """Return the linear system with its candidates, and the names of what is found in it."""
+    find = search_runs if readings.run.any() else search_run
+    stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
+    setting_rad = stand_u.get("setting_error", 0.0)
+    return find(readings, model, stand, setting_rad, cache or ThresholdCache(None), digit, absent)
+
+
+@dataclass(frozen=True)
+class _Estimated:
+    """Coefficients and named effects together.
+
+    `sized` has the effects in the shapes found, `fitted` also with what they may have of other shapes (`in_part`),
+    of which `left_open` goes into a model file. `p_left` is the probability of what is left beside the repeats.
+    """
+
+    effects: tuple[NamedEffect, ...]
+    noise: NoiseSize
+    sized: Posterior
+    fitted: Posterior
+    in_part: tuple[AppliedEffect, ...]
+    left_open: tuple[AppliedEffect, ...]
+    p_left: float
+
+
+def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
+    """Estimate the named effects with the coefficients; say where something is left that has no name."""
+    linear, candidates, whitened, data = (
+        prepared.linear, prepared.candidates, prepared.whitened, prepared.data,
+    )  # fmt: skip
     noise = noise_size(whitened, data, naming.columns)
     sized = fit_found(linear, candidates, naming, noise)
     others = beside(candidates, naming, sized, channels_of(whitened, data, naming))
     in_part = tuple(applied for of_find in others for applied in of_find)
     fitted = fit_found(with_other_shapes(linear, in_part), candidates, naming, noise)
     p_left = _p_left(whitened, data, naming)
-    ratio = RATIOS.index(near_ratios(linear, noise)[1])
-    sizes = detectable(whitened, limit, ratio)
-    unseen = hidden(whitened, limit, ratio, sizes)
-    elsewhere = {applied.effect.name for applied in model.effects} | absent.keys()
-    measured_rad = linear.moved.angle_rad
-    effects = _effects(candidates, naming, sized, limit, measured_rad)
+    effects = _effects(candidates, naming, sized, prepared.limit, linear.moved.angle_rad)
     if p_left < UNEXPLAINED and not any(not e.in_catalogue for e in effects):
         effects = (*effects, _unexplained(p_left))
-    gap = measure_gap(linear, whitened, naming, noise, limit, setting_rad)
-    described = tuple(noise_kinds(linear, noise, looked.weighed, digit, looked.slow))
-    findings = noise_findings(noise, readings, stand_u, linear.typical_slope, digit, linear.by_run)
-    of_copy = _verdict(False, effects, findings, gap)
+    kept = left_open(linear, candidates, naming, others, fitted, noise)
+    return _Estimated(effects, noise, sized, fitted, in_part, kept, p_left)
+
+
+def _noise(
+    prepared: Prepared, noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float]
+) -> tuple[tuple[NoiseFinding, ...], tuple[NoiseKind, ...]]:
+    """Return where the noise is larger than stated, and what kinds of noise there are."""
+    linear, digit = prepared.linear, digit_of(readings)
+    kinds = tuple(noise_kinds(linear, noise, prepared.weighed, digit, prepared.slow))
+    return noise_findings(noise, readings, stand_u, linear.typical_slope, digit, linear.by_run), kinds
+
+
+def _unnamed(
+    prepared: Prepared,
+    naming: Naming,
+    estimated: _Estimated,
+    findings: tuple[NoiseFinding, ...],
+    gap: Gap,
+    setting_rad: float,
+) -> tuple[tuple[NamedEffect, ...], FreeForm | None]:
+    """Return the effects, tied where a form without a name is as plausible, and that form (None: not needed)."""
+    linear, effects, noise = prepared.linear, estimated.effects, estimated.noise
+    verdict = _verdict(effects, findings, gap)
     instead: tuple[int, ...] = ()
     # with several blocks no form competes with a name: each of the ratios would take the products of all forms
-    if of_copy == "named" and linear.readings.block is None:
-        instead = unnamed_in_place(linear, whitened, data, naming, in_part, setting_rad)
+    if verdict == "named" and linear.readings.block is None:
+        instead = unnamed_in_place(
+            linear, prepared.whitened, prepared.data, naming, estimated.in_part, setting_rad
+        )
         effects = tuple(_tied_with_form(e) if i in instead else e for i, e in enumerate(effects))
-        of_copy = _verdict(False, effects, findings, gap)
-    form = None
-    if of_copy == "unknown" or instead:
-        given = [
-            column
-            for i, f in enumerate(naming.found)
-            if f.variant.named and i not in instead
-            for column in f.variant.columns
-        ]
-        about = Setting(repeats.sigma, setting_rad, near_ratios(linear, noise), limit)
-        form = describe(linear, candidates.columns[:, given], repeats, about)
-        form = replace(form, instead_of=tuple(effects[i].name for i in instead))
-    return Diagnosis(
-        verdict=_verdict(bool(mistakes.mistakes), effects, findings, gap),
-        of_copy=of_copy,
-        form=form,
-        where=find_places(linear, grid, ratio, repeats.sigma, 3 * repeats.freedom),
-        mistakes=mistakes,
-        effects=effects,
-        hidden={family: parts for family, parts in unseen.items() if family not in elsewhere},
-        absent=absent,
-        unseen_per_turn=looking_like(measured_rad, 0),
-        detectable={family: size for family, size in sizes.items() if family not in absent},
-        smallest=smallest(whitened, limit, ratio),
-        gap=gap,
-        registered=registered,
-        linear=linear,
-        candidates=candidates,
-        naming=naming,
-        fitted=fitted,
-        in_part=in_part,
-        left_open=left_open(linear, candidates, naming, others, fitted, noise),
-        noise=noise,
-        p_left=p_left,
-        whitened=whitened,
-        data=data,
-        findings=findings,
-        weighed=looked.weighed,
-        noise_kinds=described,
-        notes=(
-            *readings.notes,
-            *(finding.words for finding in findings),
-            *(kind.words for kind in described),
-            *assumed(linear),
-            *at_reference(e.applied[0].effect for e in effects if e.applied),
-            *common_volts(naming, sized, linear),
-            *same_signature(naming),
-        ),
-    )
+    if _verdict(effects, findings, gap) != "unknown" and not instead:
+        return effects, None
+    given = [
+        column
+        for i, f in enumerate(naming.found)
+        if f.variant.named and i not in instead
+        for column in f.variant.columns
+    ]
+    about = Setting(prepared.repeats.sigma, setting_rad, near_ratios(linear, noise), prepared.limit)
+    form = describe(linear, prepared.candidates.columns[:, given], prepared.repeats, about)
+    return effects, replace(form, instead_of=tuple(effects[i].name for i in instead))
 
 
-def _verdict(
-    mistaken: bool, effects: tuple[NamedEffect, ...], findings: tuple[NoiseFinding, ...], gap: Gap
-) -> Verdict:
+def _verdict(effects: tuple[NamedEffect, ...], findings: tuple[NoiseFinding, ...], gap: Gap) -> Verdict:
     """Return the first that applies; what readings held out do not confirm is named no better than a tie."""
-    if mistaken:
-        return "mistake"
     if findings or any(not e.in_catalogue for e in effects):
         return "unknown"
     if any(e.cannot_tell_from for e in effects) or (effects and not gap.shrinks):
@@ -272,3 +335,165 @@ def _values(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
                 at = CHANNELS.index(channel) if channel else ()
                 known = None if p.is_shape else float(u[at])
                 yield EffectValue(p.name, channel, mounts, float(value[at]), known, p.unit)
+
+
+# --- a diagnosis with all that follows ------------------------------------------------------------
+
+
+LISTED: Final = 8
+"""Families that a ranking shows, the most plausible first."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A family beside what else was found: ln odds that it is there, whether the data can tell it from the named.
+
+    `shift` (12 of each block,) is by how much the coefficients would differ were it this one, in units of their u.
+    """
+
+    family: str
+    evidence: float
+    tied: bool
+    shift: Floats
+
+    @property
+    def largest_shift(self) -> tuple[str, float]:
+        """The coefficient that would change most, and by how many u."""
+        worst = int(np.argmax(np.abs(self.shift)))
+        return COEFFICIENTS[worst % FIXED], float(self.shift[worst])
+
+
+def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
+    """Return for each effect that was found the most plausible families in its place, itself among them.
+
+    All that is tied is among them.
+    """
+    naming = diagnosis.naming
+    if not naming.found:
+        return ()
+    linear, candidates = diagnosis.linear, diagnosis.candidates
+    fixed = linear.fixed.shape[1]
+    u = np.sqrt(np.diag(diagnosis.fitted.covariance))[:fixed]
+    # with the same wide prior as each rival, or the priors would pass for a difference
+    found = posterior(linear, candidates.columns[:, list(naming.columns)], diagnosis.noise)
+    coefficients = found.mean[:fixed]
+    rankings = []
+    for one in naming.found:
+        others = [i for f in naming.found if f is not one for i in f.variant.columns]
+        scored = Scored.beside(diagnosis.whitened, diagnosis.data, others)
+        ranked = sorted(scored.evidence, key=lambda family: -scored.evidence[family])
+        alike = {one.variant.family, *one.ties, *one.plainer_than}
+        rows = []
+        for family in (f for i, f in enumerate(ranked) if i < LISTED or f in alike):
+            best = max(
+                (i for i, v in enumerate(candidates.variants) if v.family == family),
+                key=lambda i: float(scored.scores.variants[i, 0]),
+            )
+            variant = one.variant if family == one.variant.family else candidates.variants[best]
+            columns = candidates.columns[:, [*others, *variant.columns]]
+            shift = (posterior(linear, columns, diagnosis.noise).mean[:fixed] - coefficients) / u
+            rows.append(Rival(family, scored.evidence[family], family in one.ties, shift))
+        rankings.append(tuple(rows))
+    return tuple(rankings)
+
+
+@dataclass(frozen=True)
+class FullDiagnosis:
+    """What `bench diagnose` finds out of one body of readings; JSON, terminal and page are told from it.
+
+    `ranking` has for each effect that was found the families in its place; `skipped_rows` names rows of the
+    source that could not be read. Of several blocks `shown` is the first and `blocks` are all.
+    """
+
+    source: str
+    simulated: bool
+    skipped_rows: tuple[str, ...]
+    diagnosis: Diagnosis
+    shown: Shown
+    ranking: tuple[tuple[Rival, ...], ...]
+    next_measurement: Proposal | None
+    blocks: tuple[Shown, ...] = ()
+
+    def rivals_of(self, effect: int) -> tuple[Rival, ...]:
+        """Return the ranking of the effect of this number; nothing where it was not ranked."""
+        return self.ranking[effect] if effect < len(self.ranking) else ()
+
+
+@dataclass(frozen=True)
+class MistakesAlone:
+    """A diagnosis that ended with mistakes: what they leave does not determine the coefficients.
+
+    `corrected` are the readings with the mistakes put right, `reason` says what is missing in them.
+    """
+
+    source: str
+    simulated: bool
+    mistakes: tuple[Mistake, ...]
+    corrected: Readings
+    reason: str
+
+    @property
+    def words(self) -> str:
+        """The mistakes and what is missing without them, in a sentence."""
+        return f"a mistake: {'; '.join(one.words for one in self.mistakes)}; put right, {self.reason}"
+
+
+def diagnose_fully(
+    readings: Readings,
+    model: ForwardModel,
+    bench: BenchFile,
+    g_m_s2: float,
+    cache: ThresholdCache,
+    *,
+    source: str,
+    simulated: bool,
+    known: Sequence[Mistake] = (),
+    stated: bool = True,
+    nominal: Floats | None = None,
+) -> FullDiagnosis:
+    """Diagnose readings that were taken on a bench, and work out what follows; nothing is written.
+
+    `source` is what they are called, `simulated` whether they come from simulated instruments, `known` mistakes
+    that are put right in them already, `nominal` (blocks, 3) the scale factors of several blocks where they are
+    not all that of the bench file. Where nobody `stated` that the readings are of this bench, nothing is
+    concluded from what meters and head it has. Raises `CalibrationError` where the readings do not determine the
+    coefficients.
+    """
+    stand_u = {name: spread.u for name, spread in bench.stand_distributions().items()}
+    sheet = np.array(bench.unit_under_test.scale_factors.values) if nominal is None else nominal
+    sheet_of_unit = sheet if readings.unit == "V" else None
+    there = KnownBench.of(bench) if stated else NOTHING_KNOWN
+    diagnosis = diagnose(readings, model, stand_u, sheet_of_unit, cache, there)
+    if known:
+        mistakes = replace(diagnosis.mistakes, mistakes=(*known, *diagnosis.mistakes.mistakes))
+        diagnosis = replace(diagnosis, mistakes=mistakes, verdict="mistake")
+    model = diagnosis.linear.model
+    blocks = tuple(_shown(diagnosis, model, stand_u, g_m_s2))
+    shown = blocks[0]
+    told = [*filter(None, [there.not_judged(readings)]), *contradicted(model.effects, shown.before.effects)]
+    return FullDiagnosis(
+        source=source,
+        simulated=simulated,
+        skipped_rows=readings.skipped,
+        diagnosis=replace(diagnosis, notes=(*diagnosis.notes, *told)),
+        shown=shown,
+        ranking=rivals(diagnosis),
+        # a proposal is for one block: which of several would be measured again, nobody said
+        next_measurement=propose(diagnosis, bench) if len(blocks) == 1 else None,
+        blocks=blocks if len(blocks) > 1 else (),
+    )
+
+
+def _shown(
+    diagnosis: Diagnosis, model: ForwardModel, stand_u: Mapping[str, float], g_m_s2: float
+) -> Iterator[Shown]:
+    """Yield simulation beside bench for each block, with what was found that is of it."""
+    readings = diagnosis.mistakes.corrected
+    if readings.block is None:
+        yield show(readings, model, diagnosis.applied, stand_u, g_m_s2, diagnosis.in_part)
+        return
+    for number in np.unique(readings.block):
+        own = readings.select(readings.block == number)
+        mounts = {str(mount) for mount in own.conditions().mounts}
+        applied = [a for a in diagnosis.applied if not a.installations or mounts & set(a.installations)]
+        yield show(own, model, tuple(applied), stand_u, g_m_s2)

@@ -18,8 +18,6 @@ from bench.diagnosis import (
     naming,
     noise_grid,
     residual_model,
-    residual_search,
-    threshold,
     visibility,
     where,
 )
@@ -29,11 +27,10 @@ from bench.diagnosis.gap import Gap, folds_of, thirds_of
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import MistakeSearch
 from bench.diagnosis.naming import Naming
-from bench.diagnosis.noise_kinds import NoiseFinding, NoiseKind
+from bench.diagnosis.noise_kinds import NoiseFinding, NoiseKind, WeighedDown
 from bench.diagnosis.posterior import KnownTogether, NoiseSize, Posterior
 from bench.diagnosis.residual_model import FreeForm
 from bench.diagnosis.visibility import Smallest
-from bench.diagnosis.weighing import WeighedDown
 from bench.diagnosis.where import Place
 from bench.model.conditions import REFERENCE_C, REMOUNT_S, SETTING_S
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect
@@ -70,7 +67,7 @@ class Registration:
     held_out_else: tuple[str, ...]
 
 
-def register(linear: LinearSystem, limit: threshold.Threshold) -> Registration:
+def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
     """Return what is settled for these readings, with its hash."""
     settled = Registration(
         sha256="",
@@ -99,11 +96,11 @@ def register(linear: LinearSystem, limit: threshold.Threshold) -> Registration:
         "size_weights": [round(w, 12) for w in evidence.LOG_SIZE_WEIGHTS],
     }
     if limit.slip is not None:
-        hashed["slip"] = [threshold.OF_SLIPS, round(limit.slip.value, 9)]
-    if threshold.formulas():
-        hashed["formulas"] = threshold.formulas()
+        hashed["slip"] = [evidence.OF_SLIPS, round(limit.slip.value, 9)]
+    if evidence.formulas():
+        hashed["formulas"] = evidence.formulas()
     hashed["form"] = [
-        residual_search.MOST_TERMS,
+        residual_model.MOST_TERMS,
         residual_model.LEAST_CLOSED,
         residual_model.SIGNIFICANT,
         residual_model.LARGER,

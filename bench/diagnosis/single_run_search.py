@@ -13,15 +13,27 @@ from bench.base.arrays import Floats
 from bench.calibration.design import FIXED
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import SLIP, Candidates, make_candidates
-from bench.diagnosis.evidence import Data, Whitened
+from bench.diagnosis.evidence import Data, Threshold, ThresholdCache, Whitened
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.naming import MOST_EFFECTS, Naming, Scored, name
-from bench.diagnosis.noise_grid import RATIOS, make_noise_grid
-from bench.diagnosis.noise_kinds import SlowNoise, beside_all_sizes, slow_noise, with_slow_noise
+from bench.diagnosis.noise_grid import (
+    RATIOS,
+    Repeats,
+    grid_with_rounding,
+    make_noise_grid,
+    noise_of_repeats,
+    with_rounding,
+)
+from bench.diagnosis.noise_kinds import (
+    SlowNoise,
+    WeighedDown,
+    beside_all_sizes,
+    sizes_left,
+    slow_noise,
+    weigh_down,
+    with_slow_noise,
+)
 from bench.diagnosis.posterior import applied_of, fit_found, noise_size
-from bench.diagnosis.repeats import Repeats, grid_with_rounding, noise_of_repeats, with_rounding
-from bench.diagnosis.threshold import Threshold, ThresholdCache
-from bench.diagnosis.weighing import WeighedDown, sizes_left, weigh_down
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
 from bench.readings.table import Readings
@@ -39,7 +51,7 @@ SAME_SIZE: Final = 0.1
 
 
 @dataclass(frozen=True)
-class Looked:
+class Prepared:
     """Readings made linear, the candidates in units of the noise, what is needed of the data, the threshold.
 
     `bend` (N,) is what was taken off the response because the readings are not linear in what was found,
@@ -57,90 +69,94 @@ class Looked:
     slow: tuple[SlowNoise, ...] = ()
 
 
-Prepare = Callable[[LinearSystem, Threshold, float], Looked]
+Prepare = Callable[[LinearSystem, Threshold, float], Prepared]
 """Prepares readings for a search, with the limit of such readings and the most that their noise is."""
 
 
 class Again(Protocol):
-    """Looks for all again in readings that are weighed otherwise: about what `looked` is about."""
+    """Looks for all again in readings that are weighed otherwise: about what `prepared` is about."""
 
     def __call__(
-        self, looked: Looked, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
-    ) -> tuple[Looked, Naming]:
+        self, prepared: Prepared, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
+    ) -> tuple[Prepared, Naming]:
         """Prepare and search `linear`, with the `limit` of such readings and the `most` noise where known."""
 
 
-def noise_as_it_is(looked: Looked, naming: Naming, again: Again) -> tuple[Looked, Naming]:
+def noise_as_it_is(prepared: Prepared, naming: Naming, again: Again) -> tuple[Prepared, Naming]:
     """Look for all again where what is left has heavy tails, and where its channels differ.
 
     What explains more of the readings than all that was found, as channels with noise of their own may, stands in
     its place. Readings that are rounded alike tell nothing of their noise: that of rounding is believed.
     """
-    if looked.whitened.grid.known:
-        return looked, naming
-    looked, naming = _own_sizes_instead(looked, naming, again)
-    noise = noise_size(looked.whitened, looked.data, naming.columns)
-    if noise.reading < TOO_LARGE * looked.repeats.sigma:
-        looked, naming = again(looked, looked.linear, looked.limit, noise.reading)
-        noise = noise_size(looked.whitened, looked.data, naming.columns)
-    weighed = weigh_down(looked.linear, looked.candidates, naming, noise)
+    if prepared.whitened.grid.known:
+        return prepared, naming
+    prepared, naming = _own_sizes_instead(prepared, naming, again)
+    noise = noise_size(prepared.whitened, prepared.data, naming.columns)
+    if noise.reading < TOO_LARGE * prepared.repeats.sigma:
+        prepared, naming = again(prepared, prepared.linear, prepared.limit, noise.reading)
+        noise = noise_size(prepared.whitened, prepared.data, naming.columns)
+    weighed = weigh_down(prepared.linear, prepared.candidates, naming, noise)
     if weighed is not None:
         # the noise is smaller for it, and the limits of the stand are larger beside it
-        less = replace(looked.linear, response=looked.linear.response + weighed.pull)
-        looked, naming = again(replace(looked, weighed=weighed), less, looked.limit, noise.reading)
-    sizes = sizes_left(looked.linear, looked.candidates, looked.whitened, looked.data, naming.columns).sizes
-    if np.max(np.abs(np.log(sizes / looked.linear.by_channel))) < SAME_SIZE:
-        return looked, naming
-    noise = noise_size(looked.whitened, looked.data, naming.columns)
-    return again(looked, replace(looked.linear, by_channel=sizes), most=noise.reading)
+        less = replace(prepared.linear, response=prepared.linear.response + weighed.pull)
+        prepared, naming = again(replace(prepared, weighed=weighed), less, prepared.limit, noise.reading)
+    sizes = sizes_left(
+        prepared.linear, prepared.candidates, prepared.whitened, prepared.data, naming.columns
+    ).sizes
+    if np.max(np.abs(np.log(sizes / prepared.linear.by_channel))) < SAME_SIZE:
+        return prepared, naming
+    noise = noise_size(prepared.whitened, prepared.data, naming.columns)
+    return again(prepared, replace(prepared.linear, by_channel=sizes), most=noise.reading)
 
 
-def _own_sizes_instead(looked: Looked, naming: Naming, again: Again) -> tuple[Looked, Naming]:
+def _own_sizes_instead(prepared: Prepared, naming: Naming, again: Again) -> tuple[Prepared, Naming]:
     """Look for all again where channels with noise of their own sizes explain more than all that was found.
 
     A channel with more noise than the others looks as if something were missing in it alone, and what takes that up
     leaves the channels alike. What is really missing is the better explanation by far: it knows where and when.
     """
-    if not naming.found or np.any(looked.linear.by_channel != 1.0):
-        return looked, naming
-    told = sizes_left(looked.linear, looked.candidates, looked.whitened, looked.data, ())
+    if not naming.found or np.any(prepared.linear.by_channel != 1.0):
+        return prepared, naming
+    told = sizes_left(prepared.linear, prepared.candidates, prepared.whitened, prepared.data, ())
     if told.evidence < sum(found.total for found in naming.found):
-        return looked, naming
-    return again(looked, replace(looked.linear, by_channel=told.sizes))
+        return prepared, naming
+    return again(prepared, replace(prepared.linear, by_channel=told.sizes))
 
 
-def beside_slow_noise(looked: Looked, naming: Naming, prepare: Prepare) -> tuple[Looked, Naming]:
+def beside_slow_noise(prepared: Prepared, naming: Naming, prepare: Prepare) -> tuple[Prepared, Naming]:
     """Look for all again beside slow noise, where that stands in the place of all that was found (`_instead`).
 
     What is found clearly is there: never does it, or what was found beside it, pass for slow noise.
     """
     strongest = max((found.total for found in naming.found), default=-np.inf)
-    if looked.whitened.grid.known or strongest > looked.limit.value + CLEAR:
-        return looked, naming
-    noise = noise_size(looked.whitened, looked.data, naming.columns)
-    slow = _instead(looked, naming, noise.reading)
+    if prepared.whitened.grid.known or strongest > prepared.limit.value + CLEAR:
+        return prepared, naming
+    noise = noise_size(prepared.whitened, prepared.data, naming.columns)
+    slow = _instead(prepared, naming, noise.reading)
     if not slow:
-        return looked, naming
-    again = prepare(with_slow_noise(looked.linear, slow), looked.limit, noise.reading)
-    again = replace(again, bend=looked.bend, weighed=looked.weighed, slow=slow)
+        return prepared, naming
+    again = prepare(with_slow_noise(prepared.linear, slow), prepared.limit, noise.reading)
+    again = replace(again, bend=prepared.bend, weighed=prepared.weighed, slow=slow)
     return again, name(again.whitened, again.data, again.limit)
 
 
-def _instead(looked: Looked, naming: Naming, noise: float) -> tuple[SlowNoise, ...]:
+def _instead(prepared: Prepared, naming: Naming, noise: float) -> tuple[SlowNoise, ...]:
     """Return the slow noise that stands in the place of what was found, nothing where that holds.
 
     It is that of the channels in which it shows by itself. Where that explains less, what was found must reach the
     threshold beside slow noise of all channels, too, whatever its size: a name that hardly does without, and what
     has none. A slip that reaches the threshold of slips is there by that.
     """
-    sure = slow_noise(looked.linear, looked.whitened, Scored.beside(looked.whitened, looked.data, ()).ratio)
+    sure = slow_noise(
+        prepared.linear, prepared.whitened, Scored.beside(prepared.whitened, prepared.data, ()).ratio
+    )
     if sure and sum(one.odds for one in sure) >= sum(found.evidence for found in naming.found):
         return sure
-    limit, strongest = looked.limit.value, max((found.total for found in naming.found), default=-np.inf)
+    limit, strongest = prepared.limit.value, max((found.total for found in naming.found), default=-np.inf)
     named = all(found.variant.named for found in naming.found)
-    if strongest < limit or (named and strongest > limit + HARDLY) or _slipped(looked.limit, naming):
+    if strongest < limit or (named and strongest > limit + HARDLY) or _slipped(prepared.limit, naming):
         return ()
-    beside = beside_all_sizes(looked.linear, looked.whitened, noise, PLAUSIBLE)
+    beside = beside_all_sizes(prepared.linear, prepared.whitened, noise, PLAUSIBLE)
     if beside is None or beside.total >= limit:
         return ()
     return sure or beside.slow
@@ -151,21 +167,23 @@ def _slipped(limit: Threshold, naming: Naming) -> bool:
     return any(found.variant.family == SLIP and limit.by_slip(found.of_slip) for found in naming.found)
 
 
-def in_the_noise_of(looked: LinearSystem, weighed: WeighedDown | None, linear: LinearSystem) -> LinearSystem:
-    """Return a system of the same readings and another model, its noise as it was found: `looked`, `weighed`.
+def in_the_noise_of(
+    prepared: LinearSystem, weighed: WeighedDown | None, linear: LinearSystem
+) -> LinearSystem:
+    """Return a system of the same readings and another model, its noise as it was found: `prepared`, `weighed`.
 
     Of several blocks the sizes alone: their rows stand in another order.
     """
-    linear = replace(linear, by_channel=looked.by_channel, by_run=looked.by_run)
-    if looked.readings.block is not None:
+    linear = replace(linear, by_channel=prepared.by_channel, by_run=prepared.by_run)
+    if prepared.readings.block is not None:
         return linear
     pull = 0.0 if weighed is None else weighed.pull
-    of_noise = looked.random[:, looked.random.shape[1] - looked.of_noise :]
+    of_noise = prepared.random[:, prepared.random.shape[1] - prepared.of_noise :]
     return replace(
         linear,
         response=linear.response + pull,
         random=np.column_stack([linear.random, of_noise]),
-        of_noise=looked.of_noise,
+        of_noise=prepared.of_noise,
     )
 
 
@@ -194,7 +212,7 @@ class _Task:
         return with_rounding(linear, self.resolution, repeats.sigma)
 
 
-def look(
+def search_run(
     readings: Readings,
     model: ForwardModel,
     stand: Mapping[str, float],
@@ -202,7 +220,7 @@ def look(
     cache: ThresholdCache,
     resolution: float,
     absent: Collection[str] = (),
-) -> tuple[Looked, Naming]:
+) -> tuple[Prepared, Naming]:
     """Prepare readings and find what is missing: the first find is made linear before the others are looked for.
 
     The noise is taken as it is (`noise_as_it_is`), and beside slow noise all is looked for again.
@@ -214,53 +232,53 @@ def look(
     task = _Task(readings, model, stand, setting_rad, resolution, cache, absent)
 
     def again(
-        looked: Looked, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
-    ) -> tuple[Looked, Naming]:
+        prepared: Prepared, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
+    ) -> tuple[Prepared, Naming]:
         fresh = _prepared(task, linear, limit, most)
-        return _straight(task, replace(fresh, bend=looked.bend, weighed=looked.weighed))
+        return _searched_again(task, replace(fresh, bend=prepared.bend, weighed=prepared.weighed))
 
-    first = _straight(task, _prepared(task, task.linear(readings)))
-    looked, naming = noise_as_it_is(*first, again)
-    looked, naming = beside_slow_noise(looked, naming, partial(_prepared, task))
-    return looked, _closer(task, looked, naming)
+    first = _searched_again(task, _prepared(task, task.linear(readings)))
+    prepared, naming = noise_as_it_is(*first, again)
+    prepared, naming = beside_slow_noise(prepared, naming, partial(_prepared, task))
+    return prepared, _closer(task, prepared, naming)
 
 
-def _closer(task: _Task, looked: Looked, naming: Naming) -> Naming:
+def _closer(task: _Task, prepared: Prepared, naming: Naming) -> Naming:
     """Find again what hardly reached the threshold, with the ratio of the noises on a finer grid about its own.
 
     Between two ratios of the grid of the search a setting error is up to 1.4 times as large as it is taken for, and
     effects that act as it does look as much more than they are.
     """
-    if not naming.found or min(found.total for found in naming.found) > looked.limit.value + CLEAR:
+    if not naming.found or min(found.total for found in naming.found) > prepared.limit.value + CLEAR:
         return naming
-    linear, coarse = looked.linear, looked.whitened.grid
-    noise = noise_size(looked.whitened, looked.data, naming.columns)
+    linear, coarse = prepared.linear, prepared.whitened.grid
+    noise = noise_size(prepared.whitened, prepared.data, naming.columns)
     ratio = noise.setting_rad / noise.reading * linear.typical_slope
     if ratio < RATIOS[1]:
         return naming
     grid = make_noise_grid(linear, coarse.sigma, task.setting_rad, [ratio * part for part in FINER])
-    whitened = Whitened.of(replace(grid, known=coarse.known), looked.candidates)
-    return name(whitened, whitened.reduce(linear.response[:, None]), looked.limit)
+    whitened = Whitened.of(replace(grid, known=coarse.known), prepared.candidates)
+    return name(whitened, whitened.reduce(linear.response[:, None]), prepared.limit)
 
 
-def _straight(task: _Task, looked: Looked) -> tuple[Looked, Naming]:
+def _searched_again(task: _Task, prepared: Prepared) -> tuple[Prepared, Naming]:
     """Find what is missing, about a point near enough."""
     most = 1
-    naming = name(looked.whitened, looked.data, looked.limit, most)
+    naming = name(prepared.whitened, prepared.data, prepared.limit, most)
     for _ in range(STEPS):
-        straight = _straightened(task, looked, naming) if naming.found else None
-        if straight is None:
+        closer = _relinearised(task, prepared, naming) if naming.found else None
+        if closer is None:
             if not naming.found or most == MOST_EFFECTS:
-                return looked, naming
+                return prepared, naming
             most = MOST_EFFECTS
-        looked = straight or looked
-        naming = name(looked.whitened, looked.data, looked.limit, most)
-    return looked, name(looked.whitened, looked.data, looked.limit)
+        prepared = closer or prepared
+        naming = name(prepared.whitened, prepared.data, prepared.limit, most)
+    return prepared, name(prepared.whitened, prepared.data, prepared.limit)
 
 
 def _prepared(
     task: _Task, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
-) -> Looked:
+) -> Prepared:
     """Prepare readings for the search; with the `limit` of such readings and the `most` noise where known."""
     repeats = noise_of_repeats(linear, task.resolution)
     repeats = replace(repeats, sigma=min(repeats.sigma, most))
@@ -269,13 +287,13 @@ def _prepared(
     whitened = Whitened.of(grid, candidates)
     limit = limit or task.cache.threshold(linear, whitened, task.setting_rad)
     data = whitened.reduce(linear.response[:, None])
-    return Looked(linear, repeats, candidates, whitened, data, limit, np.zeros(len(linear)))
+    return Prepared(linear, repeats, candidates, whitened, data, limit, np.zeros(len(linear)))
 
 
-def _straightened(task: _Task, looked: Looked, naming: Naming) -> Looked | None:
+def _relinearised(task: _Task, prepared: Prepared, naming: Naming) -> Prepared | None:
     """Return the readings about what was found; None where they are linear in it as they are."""
-    linear, candidates = looked.linear, looked.candidates
-    noise = noise_size(looked.whitened, looked.data, naming.columns)
+    linear, candidates = prepared.linear, prepared.candidates
+    noise = noise_size(prepared.whitened, prepared.data, naming.columns)
     fitted = fit_found(linear, candidates, naming, noise)
     parts = [(f.variant, fitted.amplitudes[place]) for f, place in naming.parts() if f.variant.named]
     if not parts:
@@ -286,7 +304,7 @@ def _straightened(task: _Task, looked: Looked, naming: Naming) -> Looked | None:
     columns = [column for variant, _ in parts for column in variant.columns]
     sizes = np.concatenate([value for _, value in parts])
     moved = linear.rows_of(change)
-    bend = moved - candidates.columns[:, columns] @ sizes - looked.bend
+    bend = moved - candidates.columns[:, columns] @ sizes - prepared.bend
     if float(np.max(np.abs(bend))) < BENT * noise.reading:
         return None
     readings = task.readings
@@ -294,14 +312,16 @@ def _straightened(task: _Task, looked: Looked, naming: Naming) -> Looked | None:
         again = task.linear(replace(readings, signal=readings.signal - change))
     except CalibrationError:  # what was found is too large to be true
         return None
-    told = make_candidates(again, looked.repeats.sigma, absent=task.absent)
+    told = make_candidates(again, prepared.repeats.sigma, absent=task.absent)
     if told.kinds != candidates.kinds:
         return None
     back = told.columns[:, columns] @ sizes
-    pull = 0.0 if looked.weighed is None else looked.weighed.pull
+    pull = 0.0 if prepared.weighed is None else prepared.weighed.pull
     response = again.response + back + pull
     about = replace(again, readings=readings, response=response, by_channel=linear.by_channel)
-    grid = grid_with_rounding(about, looked.repeats.sigma, task.setting_rad, task.resolution)
+    grid = grid_with_rounding(about, prepared.repeats.sigma, task.setting_rad, task.resolution)
     whitened = Whitened.of(grid, told)
     data = whitened.reduce(about.response[:, None])
-    return Looked(about, looked.repeats, told, whitened, data, looked.limit, moved - back, looked.weighed)
+    return Prepared(
+        about, prepared.repeats, told, whitened, data, prepared.limit, moved - back, prepared.weighed
+    )

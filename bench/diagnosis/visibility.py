@@ -11,10 +11,9 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.diagnosis.candidates import ROUND, Candidates, Variant, plausible_columns
-from bench.diagnosis.evidence import KNOWN_SIZE, Search, Whitened
+from bench.diagnosis.evidence import KNOWN_SIZE, Search, Threshold, Whitened
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.posterior import NoiseSize, whiten_rows
-from bench.diagnosis.threshold import Threshold
 from bench.model.effects import CATALOGUE, AppliedEffect, Parameter
 from bench.readings.table import VERIFICATION
 

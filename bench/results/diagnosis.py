@@ -16,10 +16,10 @@ from bench.base.numbers import concise, quantity, typeset
 from bench.base.result_model import Real, ResultModel, Vector
 from bench.base.tables import table
 from bench.diagnosis import Diagnosis, NamedEffect
-from bench.diagnosis.full import FullDiagnosis, MistakesAlone, Rival
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Separation
-from bench.diagnosis.residual_search import UNNAMED_FORM
+from bench.diagnosis.pipeline import FullDiagnosis, MistakesAlone, Rival
+from bench.diagnosis.residual_model import UNNAMED_FORM
 from bench.diagnosis.result import Registration, Verdict
 from bench.diagnosis.show import SEED, CoefficientChange, Shown, Simulation
 from bench.diagnosis.where import Place

@@ -23,8 +23,8 @@ from bench.base.numbers import (
 )
 from bench.calibration.result import Calibration
 from bench.diagnosis import Diagnosis, NamedEffect
-from bench.diagnosis.full import FullDiagnosis, Rival
 from bench.diagnosis.gap import UNDETERMINED, Gap
+from bench.diagnosis.pipeline import FullDiagnosis, Rival
 from bench.diagnosis.show import SEED, ModulusPoint, Shown
 from bench.diagnosis.where import Place
 from bench.model import CATALOGUE, Effect

@@ -12,10 +12,10 @@ import numpy as np
 
 from bench.base.numbers import fixed, quantity, rounded, two_digits, typeset, uncertainty
 from bench.diagnosis.confirm import EffectNow
-from bench.diagnosis.free_result import FreeDiagnosis
-from bench.diagnosis.full import FullDiagnosis, Rival
+from bench.diagnosis.free_records import FreeDiagnosis
 from bench.diagnosis.gap import UNDETERMINED, Gap
 from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.pipeline import FullDiagnosis, Rival
 from bench.diagnosis.residual_model import Dark, FormTerm, FreeForm
 from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect
 from bench.diagnosis.show import CoefficientChange, Shown, label

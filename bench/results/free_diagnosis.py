@@ -14,8 +14,7 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.base.computing import quiet
 from bench.base.numbers import aligned, concise, quantity, rounded, scale_for, typeset
 from bench.base.result_model import Real, ResultModel
-from bench.diagnosis.free_records import BetweenRecords
-from bench.diagnosis.free_result import OUTLIER, FreeDiagnosis, FreeFound
+from bench.diagnosis.free_records import OUTLIER, BetweenRecords, FreeDiagnosis, FreeFound
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.result import Verdict
 from bench.model.effects import CATALOGUE

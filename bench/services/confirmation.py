@@ -15,7 +15,7 @@ from bench.config.model_file import load_model
 from bench.diagnosis import ThresholdCache
 from bench.diagnosis.confirm import Confirmation, confirm
 from bench.diagnosis.free_positions import all_free, confirm_free
-from bench.diagnosis.free_result import OUTLIER, FreeDiagnosis
+from bench.diagnosis.free_records import OUTLIER, FreeDiagnosis
 from bench.diagnosis.mistakes.search import Mistake
 from bench.results.confirm import confirm_result, print_confirmation
 from bench.services.early_mistakes import put_right

@@ -25,14 +25,14 @@ from bench.base.yaml_files import FileMistakes
 from bench.calibration.result import CalibrationError
 from bench.config.formulas import effects_in, files_of_environment
 from bench.config.model_file import load_model, write_model_file
+from bench.diagnosis.evidence import ThresholdCache
 from bench.diagnosis.free_positions import all_free, diagnose_free
-from bench.diagnosis.free_result import FreeDiagnosis
-from bench.diagnosis.full import FullDiagnosis, MistakesAlone, diagnose_fully
+from bench.diagnosis.free_records import FreeDiagnosis
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Proposal
+from bench.diagnosis.pipeline import FullDiagnosis, MistakesAlone, diagnose_fully
 from bench.diagnosis.result import Diagnosis
 from bench.diagnosis.show import label
-from bench.diagnosis.threshold import ThresholdCache
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.corrected import as_read
 from bench.readings.csv import format_csv

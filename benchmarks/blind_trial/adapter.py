@@ -13,12 +13,11 @@ from bench.config.bench_file.file import BenchFile, load_bench
 from bench.config.formulas import load_effects
 from bench.config.shipped import find_bench
 from bench.diagnosis import Threshold, ThresholdCache, diagnose
-from bench.diagnosis.evidence import Whitened
+from bench.diagnosis.evidence import Whitened, channel_steps, size_steps
 from bench.diagnosis.free_positions import diagnose_free
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.posterior import posterior
 from bench.diagnosis.show import Simulation, show
-from bench.diagnosis.threshold import channel_steps, size_steps
 from bench.model import CATALOGUE, Effect, ForwardModel, Installation
 from bench.results.diagnosis import found_result
 from bench.results.free_diagnosis import free_result

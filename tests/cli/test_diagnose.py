@@ -9,8 +9,8 @@ import pytest
 
 import bench as program
 from bench.config.model_file import load_model
-from bench.diagnosis.full import MistakesAlone
 from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.pipeline import MistakesAlone
 from bench.readings.csv import write_csv
 from bench.services.bodies import body_of
 from bench.services.diagnosis import MistakesResult

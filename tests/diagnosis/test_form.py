@@ -11,12 +11,10 @@ import pytest
 from bench.config.formulas import effects_as_written, written_formulas
 from bench.diagnosis import Threshold
 from bench.diagnosis.linear import make_linear
-from bench.diagnosis.noise_grid import RATIOS
+from bench.diagnosis.noise_grid import RATIOS, Repeats, noise_of_repeats
 from bench.diagnosis.posterior import NoiseSize
-from bench.diagnosis.repeats import Repeats, noise_of_repeats
 from bench.diagnosis.residual_dictionary import make_dictionary
-from bench.diagnosis.residual_model import Dark, describe
-from bench.diagnosis.residual_search import Setting
+from bench.diagnosis.residual_model import Dark, Setting, describe
 from bench.model import AppliedEffect, Stage
 from bench.results.diagnosis_parts import form_part
 from tests.support.diagnosis_bench import MODEL, NOISE_V, paper_run

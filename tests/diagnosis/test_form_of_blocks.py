@@ -7,11 +7,9 @@ import pytest
 
 from bench.diagnosis import Threshold
 from bench.diagnosis.multi_run_system import make_system
-from bench.diagnosis.noise_grid import RATIOS
-from bench.diagnosis.repeats import noise_of_repeats
+from bench.diagnosis.noise_grid import RATIOS, noise_of_repeats
 from bench.diagnosis.residual_dictionary import make_dictionary
-from bench.diagnosis.residual_model import describe
-from bench.diagnosis.residual_search import Setting
+from bench.diagnosis.residual_model import Setting, describe
 from bench.model import AppliedEffect
 from bench.readings.table import JoinedPart, together
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND_U, paper_run

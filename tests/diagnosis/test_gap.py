@@ -5,8 +5,8 @@ import pytest
 
 from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.gap import folds_of, restrict
+from bench.diagnosis.noise_grid import noise_of_repeats
 from bench.diagnosis.posterior import NoiseSize, posterior, predicted_error
-from bench.diagnosis.repeats import noise_of_repeats
 from bench.diagnosis.where import find_places
 from tests.support.diagnosis_bench import NOISE_V, paper_run, set_up
 from tests.support.paper_bench import SETTING_U_RAD

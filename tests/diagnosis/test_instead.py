@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.diagnosis.naming import Found, Naming
-from bench.diagnosis.residual_search import unnamed_in_place
+from bench.diagnosis.residual_model import unnamed_in_place
 from tests.support.diagnosis_bench import paper_run, set_up
 from tests.support.paper_bench import SETTING_U_RAD, U0, K
 

@@ -9,9 +9,9 @@ from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.diagnosis import ThresholdCache, diagnose
 from bench.diagnosis.candidates import NOTHING_KNOWN, KnownBench, make_candidates
+from bench.diagnosis.evidence import make_threshold
 from bench.diagnosis.linear import make_linear
 from bench.diagnosis.result import assumed
-from bench.diagnosis.threshold import make_threshold
 from bench.diagnosis.where import looking_like
 from bench.model import CATALOGUE, AppliedEffect, Installation
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, paper_run, set_up

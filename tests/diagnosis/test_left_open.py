@@ -9,8 +9,15 @@ from bench.config.model_file import load_model, write_model_file
 from bench.diagnosis.confirm import confirm
 from bench.diagnosis.linear import make_linear
 from bench.diagnosis.naming import Found, Naming
-from bench.diagnosis.posterior import NoiseSize, applied_of, fit_found, posterior
-from bench.diagnosis.shapes import beside, left_open, with_other_shapes
+from bench.diagnosis.posterior import (
+    NoiseSize,
+    applied_of,
+    beside,
+    fit_found,
+    left_open,
+    posterior,
+    with_other_shapes,
+)
 from bench.model.effects.base import InPart
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, paper_run, set_up
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, TRUTH

@@ -7,9 +7,9 @@ import pytest
 
 from bench.base.files import cache_folder
 from bench.diagnosis import ThresholdCache, diagnose
+from bench.diagnosis.evidence import Threshold
 from bench.diagnosis.linear import make_linear
 from bench.diagnosis.multi_run_system import candidates_of, make_system, with_blocks
-from bench.diagnosis.threshold import Threshold
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.table import JoinedPart, together
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND_U, U0, K, paper_run

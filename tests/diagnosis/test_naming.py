@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from bench.diagnosis import Threshold, ThresholdCache, diagnose
-from bench.diagnosis.evidence import Search
-from bench.diagnosis.naming import LEAK, Scored, held, tied
-from bench.diagnosis.threshold import (
+from bench.diagnosis.evidence import (
     FALSE_ALARMS,
+    Search,
     fit_tail,
     make_threshold,
     null_responses,
     total_evidence,
 )
+from bench.diagnosis.naming import LEAK, Scored, held, tied
 from bench.model import CATALOGUE, AppliedEffect
 from tests.support.diagnosis_bench import MODEL, STAND, paper_run, set_up
 from tests.support.paper_bench import ARCSEC
@@ -148,10 +148,10 @@ def test_the_tail_of_an_exponential_is_found():
 @pytest.mark.slow
 def test_a_cached_threshold_belongs_to_its_design(tmp_path, monkeypatch):
     """Times and temperatures are part of the design; the size of a signal's noise digits is not."""
-    monkeypatch.setattr("bench.diagnosis.threshold.NULLS", 300)
+    monkeypatch.setattr("bench.diagnosis.evidence.NULLS", 300)
     made = []
     monkeypatch.setattr(
-        "bench.diagnosis.threshold.make_threshold",
+        "bench.diagnosis.evidence.make_threshold",
         lambda linear, whitened: made.append(1) or make_threshold(linear, whitened, 300),
     )
     cache = ThresholdCache(tmp_path / "kept")

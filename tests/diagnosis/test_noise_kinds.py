@@ -8,10 +8,9 @@ from scipy import stats
 
 from bench.diagnosis import Threshold, ThresholdCache, diagnose
 from bench.diagnosis.mistakes.single_readings import odds_of_tails
-from bench.diagnosis.noise_grid import make_noise_grid
+from bench.diagnosis.noise_grid import digit_of, is_coarse, make_noise_grid, repeated
+from bench.diagnosis.noise_kinds import by_channel
 from bench.diagnosis.posterior import NoiseSize, whiten_rows
-from bench.diagnosis.repeats import digit_of, is_coarse, repeated
-from bench.diagnosis.weighing import by_channel
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, paper_run, set_up
 from tests.support.paper_bench import SETTING_U_RAD, K
 

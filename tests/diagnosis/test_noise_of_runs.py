@@ -9,11 +9,10 @@ from scipy.stats import binom
 from bench.diagnosis import Threshold, ThresholdCache, diagnose
 from bench.diagnosis.linear import RunSizes
 from bench.diagnosis.multi_run_system import make_system
-from bench.diagnosis.noise_kinds import noise_findings
+from bench.diagnosis.noise_grid import p_alike, with_sizes_of_runs
+from bench.diagnosis.noise_kinds import WeighedDown, noise_findings
 from bench.diagnosis.posterior import NoiseSize, posterior
-from bench.diagnosis.repeats import p_alike, with_sizes_of_runs
 from bench.diagnosis.single_run_search import in_the_noise_of
-from bench.diagnosis.weighing import WeighedDown
 from bench.readings.table import JoinedPart, together
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, STAND_U, K, paper_run
 

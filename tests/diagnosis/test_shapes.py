@@ -7,8 +7,7 @@ import pytest
 from scipy import special
 
 from bench.diagnosis.naming import Found, Naming
-from bench.diagnosis.posterior import NoiseSize, fit_found
-from bench.diagnosis.shapes import beside, other_shapes, with_other_shapes
+from bench.diagnosis.posterior import NoiseSize, beside, fit_found, other_shapes, with_other_shapes
 from bench.model import CATALOGUE
 from tests.support.diagnosis_bench import NOISE_V, STAND, paper_run, set_up
 from tests.support.paper_bench import TRUTH

@@ -6,7 +6,7 @@ import pytest
 from bench.base.files import cache_folder
 from bench.calibration import calibrate, verify
 from bench.diagnosis import ThresholdCache, diagnose
-from bench.diagnosis.full import rivals
+from bench.diagnosis.pipeline import rivals
 from bench.diagnosis.show import label, show
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from tests.support.diagnosis_bench import MODEL, STAND, paper_run

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from bench.diagnosis import Threshold, ThresholdCache
-from bench.diagnosis.evidence import Search
-from bench.diagnosis.noise_grid import RATIOS
+from bench.diagnosis.evidence import Search, null_responses, total_evidence
+from bench.diagnosis.noise_grid import RATIOS, digit_of
 from bench.diagnosis.noise_kinds import beside_all_sizes, noise_kinds, slow_noise, with_slow_noise
 from bench.diagnosis.posterior import NoiseSize
-from bench.diagnosis.repeats import digit_of
-from bench.diagnosis.single_run_search import look
-from bench.diagnosis.threshold import null_responses, total_evidence
+from bench.diagnosis.single_run_search import search_run
 from benchmarks.blind_trial.cases import Row, make_case
 from tests.support.diagnosis_bench import MODEL, NOISE_V, paper_run, set_up
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U
@@ -138,7 +136,9 @@ def test_what_is_plausible_beforehand_counts():
 def test_a_wander_that_was_an_alarm_is_slow_noise(index):
     """Cases of the blind trial in which nothing is missing, half a sigma of 1/f in the noise of each channel."""
     case, _ = make_case(919, Row("null", noise="1/f"), index)
-    looked, naming = look(case.readings, MODEL, STAND_U, SETTING_U_RAD, Fixed(None), digit_of(case.readings))
+    looked, naming = search_run(
+        case.readings, MODEL, STAND_U, SETTING_U_RAD, Fixed(None), digit_of(case.readings)
+    )
     assert not naming.found
     assert looked.slow
 

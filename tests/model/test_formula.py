@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.diagnosis.threshold import formulas
+from bench.diagnosis.evidence import formulas
 from bench.model import CATALOGUE, AppliedEffect, Conditions, ForwardModel, Parameter, Stage, Subsystem
 from bench.model.effects import ExpressionError, FormulaEffect, Seen
 from bench.model.effects.block import CrossCoupling, WarmUp
