@@ -17,7 +17,7 @@ from bench.base.arrays import CHANNELS, Floats, HasCovariance, rms, u_of
 from bench.calibration import gls
 from bench.calibration.budget.coefficients import meters_of, parts_of
 from bench.calibration.budget.sources import hidden_sources
-from bench.calibration.budget.whole import GRAVITY, VOLTS, Taken
+from bench.calibration.budget.whole import GRAVITY, VOLTS, MeasuredReadings
 from bench.calibration.calibrate import first_guess, usable_rows
 from bench.calibration.design import FIXED, Problem, make_problem
 from bench.calibration.noise import require_told
@@ -383,7 +383,7 @@ def combine(
     if view.unit != VOLTS:
         return replace(view, notes=(*view.notes, NOT_IN_VOLTS.format(unit=view.unit)))
     meters = meters_of([m.channels for m in bench.instruments.voltmeters])
-    taken = Taken(view.fitted, view.block, meters, view.slope)
+    taken = MeasuredReadings(view.fitted, view.block, meters, view.slope)
     covariance = view.covariance.copy()
     for error in hidden_sources(bench, with_terms(replace(model, effects=()), terms), day):
         if error.name != GRAVITY:

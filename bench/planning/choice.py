@@ -22,11 +22,10 @@ from bench.planning.settings import Setting, conditions_of
 from bench.readings.table import Readings
 
 BELIEVED: Final = 6.0
-"""What the bench file states of the noise counts as so many signals: little, and enough before there is any."""
+"""Weight of the stated noise, in signals: little, but enough before there are readings."""
 
 SURE: Final = 0.8
-"""A mounting is left for good with visits that are enough at noise which is larger with a probability of 1
-- SURE."""
+"""Before a mounting is left for good, its visits must be enough for the noise at this upper confidence level."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +37,12 @@ class Scale:
 
     @property
     def size(self) -> float:
-        """The estimate, with the bench file's word."""
+        """The estimate, which weighs the bench file by `BELIEVED`."""
         return float(np.sqrt((BELIEVED + self.chi2) / (BELIEVED + self.dof)))
 
     @property
     def bound(self) -> float:
-        """What the noise is below with the probability `SURE`."""
+        """Upper limit of the noise with the probability `SURE`."""
         freedom = BELIEVED + self.dof
         return float(self.size * np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - SURE))))
 
@@ -53,9 +52,9 @@ NOTHING_KNOWN: Final = Scale()
 
 
 def scale_of(stand: Stand, readings: Readings) -> Scale:
-    """Return the noise that readings tell, with what is unknown of block and stand taken out.
+    """Return the noise in readings, from the residuals of a fit of block and stand.
 
-    They need not determine the coefficients: one mounting tells of the noise, too.
+    The readings need not determine the coefficients: those of one mounting have residuals, too.
     """
     own = readings.oriented()
     if not len(own):
@@ -85,7 +84,7 @@ TIME: Final = "time"
 
 @dataclass(frozen=True)
 class Standing:
-    """What the record says at a look.
+    """The state of a run by its record.
 
     `visit` is the number of the mounting that the block is in, of those of the pool; `taken` are the first
     steps of the points that were measured, `done` counts the visits to each site, `elapsed_s` is the bench
@@ -320,7 +319,7 @@ class Chooser:
         return bool(standing.reached) and all(one.ratio <= 1.0 for one in standing.reached)
 
     def _design(self, standing: Standing, task: Task) -> Design:
-        """The visits until the end; those that tell apart what may explain a misfit come first."""
+        """The visits until the end; first those that distinguish possible explanations of a misfit."""
         if not standing.apart:
             return enough(task)
         first = task.grid.counts(Counter(standing.apart))
@@ -402,15 +401,15 @@ class Chooser:
 
 
 MOST: Final = 4
-"""So many settings are chosen for this at a look."""
+"""Settings that are chosen at once to distinguish effects."""
 WORTH: Final = 0.5
-"""A setting that tells less than this part of what the first one does is left."""
+"""A setting with less than this part of the first one's information is not chosen."""
 
 
 def telling_apart(
     stand: Stand, done: Sequence[Setting], candidates: Sequence[Setting], effects: Sequence[Effect]
 ) -> list[int]:
-    """Return the numbers of the candidates that tell most of the effects after readings at `done`, best first."""
+    """Return the candidates (by number, best first) that show most of the effects after readings at `done`."""
     model = replace(stand.model, effects=tuple(AppliedEffect(effect, {}) for effect in effects))
     problem = problem_of(model, conditions_of([*done, *candidates]), stand.sizes)
     linear = problem.linear(stand.block, problem.prior_mean)
@@ -438,7 +437,7 @@ def telling_apart(
 
 
 def _told_apart(information: Floats, rows: Floats, known: int) -> Floats:
-    """What each of rows (c, 3, p) tells of the unknowns from `known` on, those before being free, (c,)."""
+    """Information (c,) that each of rows (c, 3, p) adds on the unknowns from `known` on, the others being free."""
     of_all = rows @ np.linalg.solve(information, np.swapaxes(rows, 1, 2))
     own = rows[:, :, :known]
     of_known = own @ np.linalg.solve(information[:known, :known], np.swapaxes(own, 1, 2))

@@ -27,7 +27,7 @@ DIRECTIONS: Final = 128
 """Directions over which an acceleration is taken."""
 WHOLE: Final = 10.0
 LEAST_WHOLE_G: Final = 1e-3
-"""How well the whole block is to be known beside the goals: so many times what they ask, never less than 1 mg."""
+"""Limits of the loose goal on the whole block: so many times what the goals ask, at least 1 mg."""
 
 
 @dataclass(frozen=True)
@@ -167,16 +167,16 @@ def _require_positive(name: str, size: float) -> None:
 
 
 _POWERS: Final = (8.0, 40.0)
-"""The largest of several ratios is taken as their power mean: of the first order, smooth, then nearly itself."""
+"""Orders of the power mean that stands for the largest ratio: smooth first, then nearly the maximum."""
 _WITHIN_REACH: Final = 1.05
-"""Exchanges bring the largest ratio down by a few percent; they are not tried from further away."""
+"""Exchanges lower the largest ratio by a few percent; they are tried only within this ratio."""
 _GAIN: Final = 1e-6
 _WEAKLY_KNOWN: Final = 1.0
-"""Prior of the coefficients, in V/g and V: wide beside any calibration; only makes the first steps possible."""
+"""Prior of the coefficients, V/g and V: far wider than any calibration, it makes the first steps possible."""
 _DETERMINED: Final = 1e-2
 _MANY: Final = 1e5
 LEAST_FREEDOM: Final = 6
-"""Signals more than unknowns that a plan must have: fewer tell nothing of the noise."""
+"""Signals beyond the unknowns that a plan must have, to estimate the noise."""
 
 
 @dataclass(frozen=True)
@@ -395,10 +395,10 @@ WITHOUT_NOISE: Final = 1e-4
 
 @dataclass(frozen=True)
 class Stand:
-    """The bench as planning sees it: model, block, standard uncertainties of the stand errors, rad and V.
+    """The bench as planning sees it: model, block, standard uncertainties of the stand errors (rad, V).
 
-    `known` is what was learned of stand and noise in their place; `hidden` are the errors that no reading shows and
-    that a calibration signs; `meters` numbers the voltmeter of each channel.
+    `known` is what was learned of stand and noise in their place; `hidden` are the errors in a calibration's
+    combined u that no reading shows; `meters` numbers the voltmeter of each channel.
     """
 
     model: ForwardModel
@@ -419,7 +419,7 @@ class Stand:
 
     @property
     def noise(self) -> Noise:
-        """What is fresh at each reading and at each setting of the head."""
+        """The noise of each reading and of each setting of the head."""
         if self.known is not None and self.known.noise is not None:
             return self.known.noise.given()
         return Noise(self.sizes["voltmeter_error"], self.sizes.get("setting_error", 0.0), np.inf, "given")
@@ -436,9 +436,9 @@ class Stand:
         return self.promise(settings, ()).combined
 
     def promise(self, settings: Sequence[Setting], goals: Sequence[Goal]) -> Promise:
-        """Return what `bench calibrate` will state from readings at these settings, and what that is for goals.
+        """Return the uncertainty that `bench calibrate` will state for readings at these settings, and for goals.
 
-        By generalised least squares, the noise widened by how well the readings themselves will tell it. Raises
+        By generalised least squares; the noise is widened, since it is estimated from the readings. Raises
         `CalibrationError` where they do not determine the coefficients.
         """
         wider = widening(self._freedom(conditions_of(settings)))
@@ -468,7 +468,7 @@ class Stand:
         return make_budget(setup, [*learned, *beside], GLS, stated=sizes, known=known)
 
     def _freedom(self, conditions: Conditions) -> int:
-        """Degrees of freedom with which the noise will be told: by repeats where there are enough of them."""
+        """Degrees of freedom of the noise estimate: by repeats where there are enough of them."""
         again = repeats(conditions)
         if again >= LEAST_REPEATS:
             return 3 * again
@@ -494,9 +494,10 @@ def parts_of_goals(goals: Sequence[Goal], budget: Budget) -> list[dict[str, floa
 
 @dataclass(frozen=True)
 class Promise:
-    """Covariances (12, 12) of the coefficients, of the readings alone and combined.
+    """Promised covariances (12, 12) of the coefficients: of the readings alone, and combined.
 
-    What no reading shows is in the floors of `goals`, so that their u by the former is the combined one.
+    The floors of `goals` hold the errors that no reading shows: with the former covariance their u is the
+    combined one.
     """
 
     goals: tuple[Goal, ...]
@@ -510,11 +511,10 @@ def repeats(conditions: Conditions) -> int:
 
 
 def whitened(stand: Stand, conditions: Conditions) -> tuple[Floats, Problem]:
-    """Return derivatives (n, 3, 12 + q) of readings in units of the stand's noise, and the problem that
-    they are of.
+    """Return derivatives (n, 3, 12 + q) of readings in units of the stand's noise, and their problem.
 
-    The q angles of the stand are in units of their prior standard uncertainty; where they hang together, their
-    independent parts are.
+    The q stand angles, or their independent combinations where they are correlated, are in units of their prior
+    standard uncertainty.
     """
     problem = make_problem(stand.model, conditions, stand.sizes, known=stand.known)
     linear = problem.linear(stand.block, problem.prior_mean)

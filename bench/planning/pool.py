@@ -28,7 +28,7 @@ from bench.planning.settings import Setting, conditions_of
 from bench.readings.table import UNORIENTED, VERIFICATION
 
 _LEFT_OUT_WITH_IT: Final = (Level, Mount, Wait, Settle)
-"""Steps that nobody needs where nothing is measured on a mounting."""
+"""Steps that are left out together with a mounting."""
 
 
 class Site(NamedTuple):
@@ -299,7 +299,7 @@ def with_hidden(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> Aim:
 
 _DETERMINED: Final = 1e-2
 MOST_SUBSETS: Final = 5
-"""Of more mountings to come all are taken: their choices would be too many to weigh at each look."""
+"""With more mountings ahead, all of them are visited: their subsets would be too many to weigh."""
 
 
 @dataclass(frozen=True)

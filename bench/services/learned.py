@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.calibration.budget.meters import KnownMeters, LearnedMeters, Told, known_meters, may_move
+from bench.calibration.budget.meters import (
+    KnownMeters,
+    LearnedDifferences,
+    LearnedMeters,
+    known_meters,
+    may_move,
+)
 from bench.calibration.noise import METERS_DRIFT, KnownNoise, KnownStand
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile, FileMistakes, load_recorded_bench
@@ -144,7 +150,7 @@ def _written(of: Contrasts) -> dict[str, Any]:
 def learned_meters(entry: MetersEntry) -> LearnedMeters:
     """Return the section of a learned file as a calibration takes it."""
     gain, zero = (
-        Told(np.array(one.values), np.array(one.covariance), entry.group)
+        LearnedDifferences(np.array(one.values), np.array(one.covariance), entry.group)
         for one in (entry.gain, entry.offset_v)
     )
     return LearnedMeters(entry.meters, entry.day, gain, zero)

@@ -116,7 +116,7 @@ def measured(
 def _of_reading(
     contribution: Contribution, budget: Budget, force: Floats, *, same_voltmeters: bool
 ) -> tuple[Floats, Floats]:
-    """What a source does to the reading, V per draw: (d, 3, q) by the calibration's draws, and by new ones."""
+    """Return the errors of the reading by a source, V: (d, 3, q) for the calibration's draws, and for new draws."""
     source, block = contribution.source, budget.setup.block
     per_channel = np.eye(3)[None]
     alone = np.zeros((len(force), 3, 0))
@@ -139,7 +139,7 @@ def _of_reading(
 
 
 def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
-    """An effect of the block acts alike in use; what depends on time or temperature is at its reference."""
+    """An effect of the block acts in use as in the calibration, at reference time and temperature."""
     unknown, setup = source.effect, budget.setup
     none = np.zeros((1, 3, 1))
     if unknown is None:
@@ -211,7 +211,7 @@ def over_directions(
 
 
 class DeltaG(ResultModel):
-    """What the check at one verification point will be worth: u and U of delta g in local g, decision."""
+    """Delta g at one verification point, local g: its uncertainty, and what the decision rule accepts."""
 
     angle_deg: float
     point: int
@@ -285,9 +285,9 @@ def _within(limit: float, u: float) -> float:
 
 
 BATCH: Final = 200
-"""Trials at once: so few that their readings stay in the cache and that no product is shared out to threads."""
+"""Trials at once: few enough for the processor's cache, and for products in one thread."""
 DIGITS: Final = 1
-"""Significant digits of u that count as meaningful: the sizes of a bench's errors are known to no more."""
+"""Significant digits of u that count as meaningful: error sizes are known no better."""
 
 
 @dataclass(frozen=True)
@@ -409,9 +409,9 @@ NAMED: Final = 0.01
 
 @dataclass(frozen=True)
 class Question:
-    """What a budget is asked for: measuring range and limit of delta g (g), decision rule, trials, voltmeters.
+    """The question to a budget: measuring range and limit of delta g (g), decision rule, trials, voltmeters.
 
-    `population` is what is known of delta g over many blocks.
+    `population` is the distribution of delta g over many blocks.
     """
 
     range_g: float
@@ -424,10 +424,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Assessment:
-    """The budget with what follows from it; `exact` is None where no Monte Carlo was asked for.
-
-    `beside` are further notes on where its sizes come from.
-    """
+    """A budget and its consequences; `exact` is None without Monte Carlo, `beside` are further notes."""
 
     budget: Budget
     question: Question
@@ -443,7 +440,7 @@ class Assessment:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader of the numbers must know."""
+        """Caveats for a reader of the numbers."""
         return (*self._notes(), *self.beside)
 
     def _notes(self) -> Iterator[str]:

@@ -33,10 +33,10 @@ _SAME_FORCE_G: Final = 1e-6
 
 @dataclass(frozen=True)
 class Setup:
-    """Readings, planned or taken, with the block and the model that they are of.
+    """The readings that a budget is about, with their model and block.
 
-    `conditions` hold n readings, the verification points among them; `meters` numbers the voltmeter of each
-    of the channels x, y, z: channels with the same number share one.
+    `conditions` has n readings, verification points included. `meters` numbers the voltmeters of the channels x,
+    y, z: channels with the same number share a meter.
     """
 
     model: ForwardModel
@@ -78,7 +78,7 @@ class Setup:
 
     @cached_property
     def _stand_slopes(self) -> dict[str, Floats]:
-        """Those that were asked for: a requirement goes through hundreds of budgets of one setup."""
+        """Cache of `stand_slope`: a requirement computes hundreds of budgets of one setup."""
         return {}
 
     def _slope(self, errors: Callable[[float], tuple[Floats, float]]) -> Floats:
@@ -96,7 +96,7 @@ class Setup:
 
     @cached_property
     def effect_problem(self) -> Problem:
-        """The problem whose only unknowns beside the coefficients are the parameters of effects."""
+        """The problem whose unknowns are the coefficients and the parameters of effects."""
         return make_problem(self.model, self.conditions, {})
 
     @cached_property
@@ -129,9 +129,9 @@ class Setup:
 
 
 def planned_conditions(plan: Plan, line_hz: float = 50.0) -> Conditions:
-    """Return the conditions of the readings of a plan whose orientation is known, in order.
+    """Return the conditions of a plan's readings at known orientations, in order.
 
-    Times are those that the plan expects, a temperature is that of the chamber's last demand.
+    Times are the expected ones, temperatures the chamber's last set point.
     """
     rows: list[tuple[Read, float, float]] = []
     time_s, temperature_c = 0.0, float("nan")
@@ -161,7 +161,7 @@ def planned_conditions(plan: Plan, line_hz: float = 50.0) -> Conditions:
 def make_setup(
     plan: Plan, bench: BenchFile, model: ForwardModel | None = None, block: Block | None = None
 ) -> Setup:
-    """Set up the budget of a plan on a bench: about `block`, else the block that the bench file states.
+    """Return the setup of a plan on a bench, about `block` or else the block of the bench file.
 
     Raises `CalibrationError` when the plan has an installation that the bench lacks, or no reading to fit.
     """
@@ -183,7 +183,7 @@ def make_setup(
 
 
 def meters_of(channels: Sequence[Sequence[str]]) -> tuple[int, int, int]:
-    """Return the number of the voltmeter of x, y and z, from the channels that each voltmeter carries."""
+    """Return the voltmeter numbers of x, y and z, from the channels of each voltmeter."""
     of = {channel: number for number, meter in enumerate(channels) for channel in meter}
     return of["x"], of["y"], of["z"]
 
@@ -191,19 +191,18 @@ def meters_of(channels: Sequence[Sequence[str]]) -> tuple[int, int, int]:
 def estimator_map(
     estimator: str, setup: Setup, stated: Mapping[str, float], known: KnownStand | None = None
 ) -> Floats:
-    """Return the map from readings to the 12 coefficients, shape (12, n, 3); zero at verification points.
+    """Return an estimator's linear map (12, n, 3) from readings to coefficients; zero at verification points.
 
-    `stated` are the standard uncertainties of the stand errors by name (rad, V), from which generalised least
-    squares weighs the readings, `known` what was learned in their place.
-    An estimator that no fixed weighting is has the map at which it comes to rest
-    where nothing is an outlier. Raises `CalibrationError` for another estimator, or when the readings do not
-    determine the coefficients or are not those that the closed form knows.
+    `stated` are the standard uncertainties of the stand errors by name (rad, V), by which generalised least squares
+    weighs the readings; `known` is what was learned in their place. An iterating estimator has the map of its last
+    step on readings without outliers. Raises `CalibrationError` for an unknown estimator, and for readings that do
+    not determine the coefficients or that the closed form does not know.
     """
     by = in_a_budget(estimator)
     require_rank(setup.force[setup.fitted])
     stand_u = {name: stated.get(name, 0.0) for name in STAND_ANGLES}
     if known is not None:
-        # a mean that is known is taken away: what is left of it lies about nothing
+        # a known mean is subtracted from the readings: what remains has mean zero
         known = replace(known, mean=np.zeros_like(known.mean))
     problem = make_problem(setup.model, setup.conditions.select(setup.fitted), stand_u, known=known)
     whole = np.zeros((FIXED, len(setup.conditions), 3))
@@ -215,7 +214,7 @@ def estimator_map(
 
 
 def _task(problem: Problem, setup: Setup, stated: Mapping[str, float], known: KnownStand | None) -> Task:
-    """The first step from the truth of noise-free readings has the gain of the last one from real readings."""
+    """Return the fit to noise-free readings: its first step has the map of the last step with real ones."""
     signal = setup.signal[setup.fitted]
     floor = gls.LEAST_NOISE * float(np.max(np.abs(signal)))
     reading, setting = max(stated.get("voltmeter_error", 0.0), floor), stated.get("setting_error", 0.0)
@@ -228,10 +227,10 @@ def _task(problem: Problem, setup: Setup, stated: Mapping[str, float], known: Kn
 
 @dataclass(frozen=True)
 class Influence:
-    """What one unit of an error does to the signals of n readings.
+    """How one unit of an error changes the signals of n readings.
 
-    `pattern` (n, 3) is in V per unit of the error; entries with the same number in `group` (n, 3), counted
-    from 0 to `draws` - 1, share one draw of it.
+    `pattern` (n, 3) is in V per unit of the error. Entries with the same number in `group` (n, 3), from 0 to
+    `draws` - 1, share one draw.
     """
 
     pattern: Floats
@@ -245,10 +244,7 @@ class Influence:
         return cls(pattern, numbers.reshape(pattern.shape), len(labels))
 
     def through(self, functionals: Floats) -> Floats:
-        """Return what each draw, one unit large, adds to m linear functionals (m, n, 3) of the readings.
-
-        Shape (m, draws).
-        """
+        """Return the change (m, draws) of linear functionals (m, n, 3) of the readings by a unit of each draw."""
         m = len(functionals)
         flat: Floats = (functionals * self.pattern).reshape(m, -1)
         group = self.group.ravel()
@@ -264,7 +260,7 @@ class Influence:
 
 
 class AnyReadings(Protocol):
-    """What an error needs to know of n readings."""
+    """What error patterns need of n readings: a `Setup`, or measured readings."""
 
     @property
     def signal(self) -> Floats:
@@ -305,9 +301,9 @@ _EVERYTHING: Final = np.zeros((1, 1), dtype=np.int64)
 
 
 def influences(source: ErrorSource, setup: AnyReadings) -> tuple[Influence, ...]:
-    """Return how a unit of the source acts on readings; parts of it are independent.
+    """Return the independent ways in which a unit of the source acts on readings.
 
-    Those of the stand and of effects act on a `Setup` alone: on readings that were taken a fit has them.
+    Stand angles and effects act on a `Setup` alone: of measured readings a fit has estimated them.
     """
     if isinstance(setup, Setup) and source.effect is not None:
         column = setup.effect_problem.effects.index(source.effect)
@@ -324,7 +320,7 @@ def influences(source: ErrorSource, setup: AnyReadings) -> tuple[Influence, ...]
 
 
 def _linearity(source: ErrorSource, setup: AnyReadings) -> _Patterns:
-    # the same voltage gives the same error: repeats do not average it; channels have voltages of their own
+    # equal voltages have equal errors, so that repeats do not average them; each channel has its own voltages
     return [(np.ones_like(setup.signal) * source.on_channels, 3 * setup.orientation[:, None] + np.arange(3))]
 
 
@@ -349,7 +345,7 @@ def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 
 def _off_and_known(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> _Patterns:
-    """Return what is off within the limits and nobody knows, and the course that was `recorded` (n,)."""
+    """Return the patterns of an unknown course within the limits, and of the `recorded` one (n,)."""
     courses = list(_unknown(seen.conditions.elapsed_s, source.correlation_s).T)
     known = recorded - recorded.mean()
     if source.u > 0 and np.any(known):
@@ -358,7 +354,7 @@ def _off_and_known(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> 
 
 
 def _turn_on(source: ErrorSource, seen: AnyReadings) -> _Patterns:
-    # all of a run alike: another switching-on of the block moves each bias by as much
+    # the same throughout a run; each time the block is switched on the biases change
     return [
         (
             np.broadcast_to(np.diag(seen.block.K) * source.on_channels, seen.signal.shape),
@@ -368,7 +364,7 @@ def _turn_on(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 
 def _warmed(source: ErrorSource, seen: AnyReadings, course: Floats) -> _Patterns:
-    # the coefficients' signs are not known, so that bias and scale of each channel move on their own
+    # the signs of the coefficients are unknown, so bias and scale of each channel are independent
     factors = source.factors or {}
     group = np.arange(3)[None, :]
     sensed = seen.force @ seen.block.K.T
@@ -378,13 +374,13 @@ def _warmed(source: ErrorSource, seen: AnyReadings, course: Floats) -> _Patterns
 
 
 HARDLY_ANY: Final = 1e-3
-"""Shapes of a course that are this part of it together with others are left out."""
+"""Eigenvectors with less than this part of the total variance are left out."""
 
 
 def _unknown(time_s: Floats, correlation_s: float) -> Floats:
-    """Return the shapes (n, q) of a stationary process of unit variance; one shape where it is an offset.
+    """Return the principal shapes (n, q) of a stationary process of unit variance; a constant without correlation.
 
-    Limits alone say nothing of a course within them, and passes average no offset (GUM, 4.3.7).
+    Limits alone say nothing about a course within them; a constant offset is not averaged by passes (GUM, 4.3.7).
     """
     if math.isinf(correlation_s):
         return np.ones((len(time_s), 1))
@@ -425,10 +421,7 @@ _PATTERNS: Final[Mapping[str, Callable[[ErrorSource, AnyReadings], _Patterns]]] 
 
 @dataclass(frozen=True)
 class Contribution:
-    """What a source contributes.
-
-    `parts` (12, q) is what each independent draw of it, one u large, adds to the coefficients.
-    """
+    """The contribution of a source: `parts` (12, q) are the changes of the coefficients by u of each draw."""
 
     source: ErrorSource
     parts: Floats
@@ -502,11 +495,11 @@ def make_budget(
 
 
 def sizes_by_name(sources: Iterable[ErrorSource]) -> dict[str, float]:
-    """Return the standard uncertainties of the stand's sources by name, as an estimator is told them."""
+    """Return the standard uncertainties of the stand's sources by name."""
     return {source.name: source.u for source in sources if source.name in STAND_ERRORS}
 
 
 def parts_of(source: ErrorSource, setup: AnyReadings, functionals: Floats) -> Floats:
-    """Return what each draw of a source, one u large, adds to linear functionals (m, n, 3), shape (m, q)."""
+    """Return the changes of linear functionals (m, n, 3) by u of each draw of a source, (m, q)."""
     parts = [influence.through(functionals) for influence in influences(source, setup)]
     return source.acting(np.concatenate(parts, axis=1))

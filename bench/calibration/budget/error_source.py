@@ -1,4 +1,4 @@
-"""Errors of a bench by name: size, distribution, what shares them; as learned; of the foundation."""
+"""Error sources: size, distribution, what shares a draw; as learned of a bench; the tilting foundation."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from bench.readings.corrected import DAY, FOUNDATION
 from bench.readings.table import Readings
 
 Common = Literal["reading", "setting", "angle", "orientation", "mounting", "time", "run"]
-"""What shares one draw of an error: a single signal, the three of a setting of the head, all settings at one angle
-of it, all readings in one orientation, all of one mounting, readings soon after each other, everything."""
+"""What shares one draw of an error: one signal; the three signals of a setting of the head; all settings at one
+angle; all readings in one orientation; one mounting; readings close in time; the whole run."""
 
 Group = Literal["stand", "scale", "block"]
-"""Which errors a source belongs to: the stand's and the readings' own, which `bench calibrate` states; those
-of scale and zero, which no reading shows; what the model of the block leaves out or has in addition."""
+"""The group of a source: errors of stand and readings, which `bench calibrate` states; errors of scale and zero,
+which no reading shows; nonlinearity and effects of the block."""
 
 _SHOWN: Final[Mapping[str, tuple[str, float]]] = {
     "rad": ("arcsec", ARCSEC),
@@ -42,13 +42,12 @@ _SHOWN: Final[Mapping[str, tuple[str, float]]] = {
 class ErrorSource:
     """An error with its distribution in `unit` (SI), what it is common to and its degrees of freedom.
 
-    `origin` says where the size comes from; `prior` that it is a plausible size and not a stated one.
-    `factors` scale the error where it acts (the temperature coefficients, per K). The parameter of an effect
-    has `effect`, and in `written_in` the unit in which files state it with its size in SI. `channels` are
-    those that it is of: K2 and K3 are not of one for which the model has such an effect, a voltmeter's are its own.
-    Draws that hang together have a `root`: what makes theirs (q) of independent ones (k), q rows of k.
-    `angles` are the kinds of the stand's angles whose means of all mountings it is. What readings soon after each
-    other share has a correlation time, `correlation_s`.
+    `origin` says where the size comes from; a `prior` is a plausible size that nobody stated. `factors` scale the
+    error where it acts (temperature coefficients, per K). The parameter of an effect has `effect`, and in
+    `written_in` the unit of files with its size in SI. It acts on `channels`: a voltmeter's on its own; K2 and K3
+    on those for which the model has no such effect. Correlated draws have a `root` (q, k), which makes them of k
+    independent ones. `angles` are the kinds of stand angles of which this is the mean of all mountings.
+    `correlation_s` is the correlation time of an error that is common in "time".
     """
 
     name: str
@@ -70,7 +69,7 @@ class ErrorSource:
 
     @property
     def kind(self) -> str:
-        """Its name without whose it is: "voltmeter_gain" of "voltmeter_gain[x]"."""
+        """Its name without the meter or rail: "voltmeter_gain" of "voltmeter_gain[x]"."""
         return self.name.partition("[")[0]
 
     @property
@@ -92,7 +91,7 @@ class ErrorSource:
         return np.array([float(channel in self.channels) for channel in CHANNELS])
 
     def acting(self, draws: Floats) -> Floats:
-        """Return what each of its draws (..., q) does that are one unit large, for draws one u large."""
+        """Return the effect of draws of size u, given that of draws of size 1, (..., q)."""
         return self.u * draws if self.root is None else self.u * draws @ np.array(self.root)
 
     def sized(self, u: float) -> ErrorSource:
@@ -107,10 +106,10 @@ LEARNED: Final = "learned of the bench"
 def learned_sources(
     stated: Sequence[ErrorSource], known: KnownStand, mounts: Sequence[Mounting]
 ) -> tuple[ErrorSource, ...]:
-    """Return the sources of a stand's errors for readings in these mountings, as a calibration takes what is known.
+    """Return the stand's sources for readings in these mountings, given what was learned, as a calibration does.
 
-    An angle of a mounting is a mean that others share and its own departure: `stated` sources keep their names for
-    the latter, and the former, which hang together, are one source. Noise has its size in each channel.
+    An angle of a mounting is a mean, shared by mountings, plus a departure of its own. The departures keep the
+    names of the `stated` sources; the means are correlated and one source. Noise has a size for each channel.
     """
     return tuple(_sources(stated, known, mounts))
 
@@ -149,7 +148,7 @@ def _means(kinds: tuple[str, ...], known: KnownStand, labels: Sequence[str]) -> 
 
 
 def _with_root(source: ErrorSource, root: Floats) -> ErrorSource:
-    """Return a source whose draws are those of the root, SI: its u is what one of them has on the mean."""
+    """Return a source with correlated draws by a root in SI; its u is the root mean square of theirs."""
     u = rms(np.sqrt(np.sum(root**2, axis=1)))
     return replace(
         source,
@@ -229,9 +228,9 @@ def tilt_patterns(
 
 
 def foundation_of(readings: Readings | None, bench: BenchFile, *, levelled: bool) -> Foundation | None:
-    """Return how the foundation of a bench moves; None where nobody says so and nothing was `levelled`.
+    """Return how the foundation moves; None where nothing states it and the platform was not `levelled`.
 
-    What the level showed with these `readings` counts before what the bench file states.
+    Levellings in these `readings` count before the bench file.
     """
     seen = None if readings is None else drift_rad_s(readings.extra)
     if seen is not None:

@@ -1,4 +1,4 @@
-"""How well voltmeters and thermometers are known: certificate, drift, maker's limits, learned differences."""
+"""Uncertainty of voltmeters and thermometers: certificate, drift, maker's limits, learned differences."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from bench.model.geometry import Distribution
 Quantity = Literal["voltmeter_gain", "voltmeter_offset"]
 
 UNKNOWN_AGE: Final = 1.0
-"""Years since the calibration where nobody says of which day the readings are, nor until when it counts."""
+"""Assumed years since a calibration, where neither the day of the readings nor the end of validity is known."""
 
 USUAL_ACCURACY: Final = (20e-6, 5e-6)
 USUAL_LINEARITY: Final = (2e-6, 1e-6)
-"""Limits of 90 days of a meter of 6½ digits on 10 V, parts of reading and of range, where a recorded run had
-one that nobody here knows: those of a 34401A, which the others here keep, too."""
+"""Limits of 90 days, as parts of reading and of range, for a voltmeter of a recorded run whose driver is not
+installed: those of a 34401A on 10 V, which other meters of 6½ digits keep, too."""
 
 _SHOWN: Final = {"voltmeter_gain": (1e6, "ppm"), "voltmeter_offset": (1e6, "µV")}
 
 
 @dataclass(frozen=True)
 class Size:
-    """How large an error may be: its distribution, where that is from, its degrees of freedom, whether a prior."""
+    """The size of an error: distribution, origin, degrees of freedom, and whether it is a prior."""
 
     distribution: Distribution
     origin: str
@@ -44,10 +44,11 @@ class Size:
 
 
 def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None) -> Size:
-    """Return what is left of a meter's gain (1) or zero (V) on its range, on the day of the readings.
+    """Return the uncertainty of a meter's gain (1) or zero (V) on its range, on the day of the readings.
 
-    With a certificate u² = (U / k)² + a² / 3, a being the drift since: its drift per year times the years, else the
-    maker's limits for that time. JCGM 100:2008, 4.3.3, 4.3.7, (G.2b). Without one the maker's limits of 90 days.
+    With a certificate u² = (U / k)² + a² / 3, where a is the drift since the calibration: the certified drift per
+    year times the years, else the maker's limits for that time. Without a certificate: the maker's limits of 90
+    days. Source: JCGM 100:2008, 4.3.3, 4.3.7, (G.2b).
     """
     found = _certified(quantity, meter)
     if meter.certificate is None or found is None:
@@ -67,7 +68,7 @@ def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None)
 
 
 def may_move(quantity: Quantity, meter: VoltmeterForm) -> float:
-    """Return u of how far a meter's gain (1) or zero (V) on its range may move within 90 days."""
+    """Return u of the drift of a meter's gain (1) or zero (V) on its range within 90 days."""
     found = _certified(quantity, meter)
     drift = _limit(quantity, meter, 0.0) if found is None or found.drift is None else found.drift * DAYS_90
     return drift / math.sqrt(3.0)
@@ -107,7 +108,7 @@ def _limit(quantity: Quantity, meter: VoltmeterForm, years: float) -> float:
 
 
 def _age(certificate: Certificate, day: datetime.date | None) -> float:
-    """Return the years since the calibration; as old as it may be where the day is not known."""
+    """Return the years since the calibration; where the day is not known, until its validity ends."""
     if day is not None:
         return certificate.years_until(day)
     return (
@@ -116,12 +117,12 @@ def _age(certificate: Certificate, day: datetime.date | None) -> float:
 
 
 CONTRADICTS_P: Final = 0.01
-"""Differences that certificates and makers' limits allow that seldom are not taken: one of these is wrong."""
+"""Learned differences that are this improbable under certificates and makers' limits are not used."""
 
 
 @dataclass(frozen=True)
-class Told:
-    """Differences as learned, of M meters: `values` (M,) about the mean of each group, `covariance` (M, M)."""
+class LearnedDifferences:
+    """Differences between M meters: `values` (M,) from the mean of each group, with their `covariance` (M, M)."""
 
     values: Floats
     covariance: Floats
@@ -129,8 +130,8 @@ class Told:
 
 
 @dataclass(frozen=True)
-class Together:
-    """The errors of the voltmeters of a bench with what was learned: `mean` (n,), `covariance` (n, n)."""
+class JointErrors:
+    """Joint errors of the n voltmeters of a bench, given learned differences: `mean` (n,), `covariance` (n, n)."""
 
     mean: Floats
     covariance: Floats
@@ -142,19 +143,20 @@ class Together:
 
     @property
     def root(self) -> tuple[tuple[float, ...], ...]:
-        """What makes of n independent draws of `u` errors with this covariance."""
+        """Matrix that turns n independent draws of size `u` into errors with this covariance."""
         size, axes = np.linalg.eigh(self.covariance)
         root = axes * np.sqrt(np.maximum(size, 0.0)) / max(self.u, 1e-300)
         return tuple(tuple(row) for row in root.tolist())
 
 
-def together(
-    told: Told, at: Sequence[int | None], prior_u: Floats, certified: Mask, kept: float
-) -> Together | str:
-    """Return the errors of n meters, `at` which place of `told` each is (None: not there), or why nothing is taken.
+def joint_errors(
+    told: LearnedDifferences, at: Sequence[int | None], prior_u: Floats, certified: Mask, kept: float
+) -> JointErrors | str:
+    """Return the joint errors of n meters given learned differences, or the reason why those are not used.
 
-    `prior_u` (n,) is their u by certificate or limits, `certified` (n,) where by a certificate. `kept` from 0 to 1
-    is the correlation of a meter's error with what it was when the differences were learned.
+    `at` has the place of each meter in `told` (None: not there). `prior_u` (n,) is u by certificate or limits,
+    `certified` (n,) says which of them are by a certificate. `kept`, from 0 to 1, is the correlation of a meter's
+    error today with its error when the differences were learned.
     """
     n = len(prior_u)
     places = [place if place is not None else -1 for place in at]
@@ -171,18 +173,18 @@ def together(
     if special.chdtrc(len(difference), chi2) < CONTRADICTS_P:
         return "they contradict what certificates or makers' limits allow: have the voltmeters calibrated"
     gain = kept * prior @ basis @ np.linalg.inv(expected)
-    found = Together(gain @ difference, prior - kept * gain @ basis.T @ prior)
+    found = JointErrors(gain @ difference, prior - kept * gain @ basis.T @ prior)
     found = _never_over(found, prior, certified)
     covariance = found.covariance.copy()
     for number in np.unique(group):
         same = group == number
         free = same & ~certified
-        # what meters have in common no difference tells, however many limits seem to be averaged
+        # no difference shows an error that all meters share: averaging limits must not make it smaller
         left = np.sqrt(np.maximum(np.min(prior_u[same]) ** 2 - np.diag(covariance), 0.0)) * free
         covariance += np.outer(left, left)
     if np.any(np.diag(covariance) > (1 + 1e-9) * prior_u**2):
         return "the certificates beside them are worse than the makers' limits"
-    return Together(found.mean[:n], covariance)
+    return JointErrors(found.mean[:n], covariance)
 
 
 def _contrasts(group: Ints) -> Floats:
@@ -195,8 +197,8 @@ def _contrasts(group: Ints) -> Floats:
     return np.asarray(vectors[:, size > 0.5])
 
 
-def _never_over(found: Together, prior: Floats, certified: Mask) -> Together:
-    """Return the errors with those of certified meters as their certificates have them, the others after them."""
+def _never_over(found: JointErrors, prior: Floats, certified: Mask) -> JointErrors:
+    """Return the errors with certified meters as certified, and the others conditional on them."""
     if not np.any(certified):
         return found
     a, rest = np.flatnonzero(certified), np.flatnonzero(~certified)
@@ -210,7 +212,7 @@ def _never_over(found: Together, prior: Floats, certified: Mask) -> Together:
     covariance[np.ix_(rest, rest)] = (
         found.covariance[np.ix_(rest, rest)] - by @ own @ by.T + by @ stated @ by.T
     )
-    return Together(mean, covariance)
+    return JointErrors(mean, covariance)
 
 
 # --- the voltmeters of a bench --------------------------------------------------------------------------
@@ -218,30 +220,23 @@ def _never_over(found: Together, prior: Floats, certified: Mask) -> Together:
 
 @dataclass(frozen=True)
 class LearnedMeters:
-    """What a learned file says of the differences of meters, about `day`: of gains (1) and zeros (V)."""
+    """Learned differences of meters around a `day`: of gains (1) and of zeros (V)."""
 
     meters: tuple[str, ...]
     day: datetime.date
-    gain: Told
-    zero: Told
-
-
-@dataclass(frozen=True)
-class OfMeters:
-    """A quantity of a bench's voltmeters as a source of error: its size in words, and how they hang together."""
-
-    size: Size
-    together: Together
+    gain: LearnedDifferences
+    zero: LearnedDifferences
 
 
 @dataclass(frozen=True)
 class KnownMeters:
-    """What a bench's voltmeters are with what was learned, by the name of the source of error.
+    """The errors of a bench's voltmeters as far as differences between them were learned.
 
-    `gain` and `offset_v` (x, y, z) are to be added to readings: U (1 + gain) + offset.
+    `quantities` has, by the name of the source, its size in words and the joint errors of the meters. `gain` and
+    `offset_v` (x, y, z) correct the readings: U (1 + gain) + offset.
     """
 
-    quantities: Mapping[str, OfMeters]
+    quantities: Mapping[str, tuple[Size, JointErrors]]
     gain: tuple[float, float, float]
     offset_v: tuple[float, float, float]
 
@@ -249,14 +244,17 @@ class KnownMeters:
 def known_meters(
     bench: BenchFile, day: datetime.date, meters: Sequence[str], learned: LearnedMeters
 ) -> tuple[KnownMeters | None, tuple[str, ...]]:
-    """Return what is known of a bench's voltmeters on a day, `meters` their identities, and notes on the rest."""
+    """Return the errors of a bench's voltmeters on a day given what was learned (None: nothing used), and notes.
+
+    `meters` are the identities of the voltmeters.
+    """
     apart = abs((day - learned.day).days) / METERS_DRIFT.days
     kept = math.sqrt(max(1.0 - apart**2, 0.0))
     at = [learned.meters.index(meter) if meter in learned.meters else None for meter in meters]
     origin = f"differences learned from exchanged voltmeters, {learned.day}"
-    found: dict[str, OfMeters] = {}
+    found: dict[str, tuple[Size, JointErrors]] = {}
     notes = []
-    every: tuple[tuple[Quantity, str, Told], ...] = (
+    every: tuple[tuple[Quantity, str, LearnedDifferences], ...] = (
         ("voltmeter_gain", "gains", learned.gain), ("voltmeter_offset", "zeros", learned.zero)
     )  # fmt: skip
     for name, words, told in every:
@@ -267,9 +265,9 @@ def known_meters(
             sizes = [Size(stated.to_distribution(), "bench file", stated.dof)] * len(forms)
         certified = np.array([stated is None and is_certified(name, meter) for meter in forms])
         if kept == 0.0:
-            own: Together | str = f"in {METERS_DRIFT.days} days voltmeters may drift through their limits"
+            own: JointErrors | str = f"in {METERS_DRIFT.days} days voltmeters may drift through their limits"
         else:
-            own = together(told, at, np.array([size.distribution.u for size in sizes]), certified, kept)
+            own = joint_errors(told, at, np.array([size.distribution.u for size in sizes]), certified, kept)
         if isinstance(own, str):
             notes.append(f"what was learned of how the {words} of the voltmeters differ is not used: {own}")
             continue
@@ -280,7 +278,7 @@ def known_meters(
             min(s.dof for s in sizes),
             any(s.prior for s in sizes),
         )
-        found[name] = OfMeters(size, own)
+        found[name] = size, own
     if not found:
         return None, tuple(notes)
     notes.append(f"readings corrected by the {origin}; what the voltmeters have in common stays as stated")
@@ -289,21 +287,26 @@ def known_meters(
     ), tuple(notes)
 
 
-def _added(found: Mapping[str, OfMeters], bench: BenchFile, name: str) -> tuple[float, float, float]:
+def _added(
+    found: Mapping[str, tuple[Size, JointErrors]], bench: BenchFile, name: str
+) -> tuple[float, float, float]:
     by_channel = dict.fromkeys(CHANNELS, 0.0)
     if name in found:
-        for meter, mean in zip(bench.instruments.voltmeters, found[name].together.mean.tolist(), strict=True):
+        for meter, mean in zip(bench.instruments.voltmeters, found[name][1].mean.tolist(), strict=True):
             for channel in meter.channels:
                 by_channel[channel] = -mean
     return by_channel["x"], by_channel["y"], by_channel["z"]
 
 
 GRADIENT: Final = Distribution(0.2, "rectangular")
-"""Prior of what lies between a thermometer at the block and its accelerometers, K."""
+"""Prior of the temperature difference between a thermometer at the block and its accelerometers, K."""
 
 
 def thermometer_size(bench: BenchFile) -> Size | None:
-    """Return it in K; None for a chamber's thermometer that has no certificate: the band of the air is larger."""
+    """Return the uncertainty of the block's temperature as told, K.
+
+    None for a chamber's thermometer without certificate: the band of the air, which counts anyhow, is larger.
+    """
     told_by = bench.instruments.thermometer or bench.instruments.chamber
     certificate = None if told_by is None else told_by.certificate
     size: Size | None = None

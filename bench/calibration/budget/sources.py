@@ -1,4 +1,4 @@
-"""The errors of a bench by name: how large, how distributed, what each is common to, where its size comes from."""
+"""The error sources of a bench file: size, distribution, what shares a draw, where the size comes from."""
 
 from __future__ import annotations
 
@@ -47,13 +47,11 @@ K3_PRIOR: Final = Distribution(20e-6)
 def bench_sources(
     bench: BenchFile, setup: Setup, day: datetime.date | None = None, known: KnownStand | None = None
 ) -> tuple[ErrorSource, ...]:
-    """Return the sources of a bench: the stand's errors, the voltmeters', gravity, temperature, the block.
+    """Return the sources of a bench: stand, voltmeters, gravity, temperature, block.
 
-    `day` is that of the readings: what a certificate states has drifted since its own. `known` is what was
-    learned of the stand and the noise.
-
-    Parameters of effects in the model of `setup` are sources, too; the priors of K2 and K3 stand only where the
-    model has no such effect.
+    `day` is that of the readings, from which the drift since each certificate follows. `known` is what was learned
+    of stand and noise. Parameters of effects in the model of `setup` are sources, too; K2 and K3 have a prior only
+    for channels without such an effect.
     """
     own = stand_sources(bench)
     if known is not None:
@@ -66,16 +64,16 @@ def bench_sources(
 def signed_sources(
     bench: BenchFile, model: ForwardModel, day: datetime.date | None = None
 ) -> tuple[ErrorSource, ...]:
-    """Return what is in the combined u of a calibration beside its readings and the stand's angles.
+    """Return the sources of a calibration's combined u beside readings and stand angles.
 
-    Local gravity is not: coefficients are stated per local g.
+    Local gravity is left out: coefficients are stated per local g.
     """
     hidden = (source for source in hidden_sources(bench, model, day) if source.name != "gravity")
     return (*_foundation_source(bench), *hidden)
 
 
 def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """Of a platform that a bench file says to tilt; what levellings show, a calibration takes in its place."""
+    """The tilting platform as the bench file states it; a calibration with levellings takes theirs instead."""
     stated = foundation_of(None, bench, levelled=False)
     if stated is not None:
         yield stated.source()
@@ -84,9 +82,9 @@ def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
 def hidden_sources(
     bench: BenchFile, model: ForwardModel, day: datetime.date | None = None, meters: KnownMeters | None = None
 ) -> tuple[ErrorSource, ...]:
-    """Return the sources that no reading of a calibration shows and no fit holds: priors where none is stated.
+    """Return the sources that no reading shows and no fit holds; a prior where the file states no size.
 
-    `meters` are the errors of the voltmeters as far as differences between them were learned.
+    `meters` are the voltmeters' errors given learned differences.
     """
     return (
         *_voltmeter_sources(bench, day, meters),
@@ -101,9 +99,9 @@ def hidden_sources(
 
 
 def stand_sources(bench: BenchFile) -> tuple[ErrorSource, ...]:
-    """Return the stand errors of a bench file. The third mounting angle is as `mounting_error` unless stated.
+    """Return the stand errors of a bench file.
 
-    A surface that keeps one angle of the mounting no better keeps the other no better either.
+    A third mounting angle that is not stated counts as large as `mounting_error`: the same surfaces hold both.
     """
     sizes = bench.stand_distributions()
     dof = {name: section.dof for name in STAND_ERRORS if (section := getattr(bench.stand, name)) is not None}
@@ -121,7 +119,7 @@ ROLL_ORIGIN: Final = "not stated: as mounting_error"
 
 
 def assumed_stand(bench: BenchFile) -> dict[str, Distribution]:
-    """Return the stand errors that a bench file does not state but that no bench is without, by name."""
+    """Return the stand errors that every bench has and this file does not state, by name."""
     if bench.stand.mounting_roll is not None:
         return {}
     return {"mounting_roll": bench.stand_distributions()["mounting_error"]}
@@ -149,7 +147,7 @@ def _voltmeter_sources(
 ) -> Iterator[ErrorSource]:
     """One line for each quantity where all meters are alike, else one for each meter: "voltmeter_gain[x]".
 
-    Where differences between them were learned it is one line, of meters that hang together.
+    Where differences between them were learned it is one line, whose draws are correlated.
     """
     meters = bench.instruments.voltmeters
     largest_v = float(np.max(np.abs(bench.unit_under_test.scale_factors.values)))
@@ -164,10 +162,12 @@ def _voltmeter_sources(
     )  # fmt: skip
     for name, symbol, unit, common, stated, size in quantities:
         if known is not None and name in known.quantities:
-            own = known.quantities[name]
+            size_known, errors = known.quantities[name]
             yield replace(
-                _sized(ErrorSource(name, symbol, unit, own.size.distribution, common, "scale", ""), own.size),
-                root=own.together.root,
+                _sized(
+                    ErrorSource(name, symbol, unit, size_known.distribution, common, "scale", ""), size_known
+                ),
+                root=errors.root,
             )
             continue
         if stated is not None:
@@ -192,7 +192,7 @@ def _sized(source: ErrorSource, size: Size) -> ErrorSource:
 
 
 def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """Relative to local gravity. A number has the uncertainty of its last digit, at least that of a survey."""
+    """Local gravity, relative. A plain number has the uncertainty of its last digit, at least 1 mGal."""
     g = bench.gravity_m_s2
     stated = bench.uncertainty.gravity
     if g is None:
@@ -243,7 +243,7 @@ def _temperature_source(bench: BenchFile) -> ErrorSource:
 
 
 def _head_table_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """What the table of the head leaves unknown: the same at an angle, however often the head comes there."""
+    """The head's certified table: one error for each angle, the same at every visit."""
     certificate = bench.instruments.head.certificate
     if certificate is not None:
         worst = max(certificate.values, key=lambda value: value.U / value.k)
@@ -255,7 +255,7 @@ def _head_table_source(bench: BenchFile) -> Iterator[ErrorSource]:
 
 
 def _thermometer_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """How far the temperature told may be from the true one: all of a run alike."""
+    """Error of the thermometer: the same throughout a run."""
     size = thermometer_size(bench)
     if size is not None:
         source = _sized(ErrorSource("thermometer", "T", "K", size.distribution, "run", "scale", ""), size)
@@ -263,7 +263,7 @@ def _thermometer_source(bench: BenchFile) -> Iterator[ErrorSource]:
 
 
 def _supply_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
-    """One for each rail, of the channels for which the model does not follow it."""
+    """One source for each rail, on the channels whose model has no supply sensitivity to it."""
     supply, section = bench.unit_under_test.supply, bench.uncertainty
     sizes = (section.bias_supply_coefficient, section.scale_supply_coefficient)
     bias, scale = (
@@ -293,7 +293,7 @@ def _supply_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSour
 
 
 def _turn_on_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """How far a bias comes back after the block was off: of one that the bench itself switches, or where stated."""
+    """Turn-on repeatability of the biases, where it is stated or the bench switches the block."""
     stated = bench.uncertainty.turn_on_repeatability
     if stated is not None or bench.unit_under_test.supply is not None:
         origin = "prior: of a quartz-flexure accelerometer"
@@ -330,10 +330,10 @@ def _stated(
 
 
 def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
-    """Yield a source for each parameter of the effects in the model, with the u that the model file states.
+    """Yield a source for each parameter of the model's effects, with the u that the model file states.
 
-    Where it states none the size is the catalogue's plausible one. The prior that a fit then takes is wider, so
-    that the data decide, and no statement about a block.
+    Without a stated u the size is the catalogue's plausible one. (A fit uses a wider prior there, so that the data
+    decide.)
     """
     problem = setup.effect_problem
     for name, unknown in zip(problem.names(), problem.effects, strict=True):

@@ -1,8 +1,8 @@
-"""The whole uncertainty of a calibration: what its readings show, and the errors of the bench that they do not.
+"""The combined uncertainty of a calibration: of its readings, and of the bench errors that readings do not show.
 
-Each error acts on the readings that were taken as it does on those of a plan, and through the estimator's map on
-the coefficients: the budget of a plan and the calibration of its readings agree where their noise does.
-Source: JCGM 100:2008 (GUM), 4.3 and 5.2: what is not known is a quantity with a distribution, not a sentence.
+Each error acts on measured readings as on those of a plan, and through the estimator's map on the coefficients. So
+the budget of a plan and the calibration of its readings agree where their noise does. Source: JCGM 100:2008 (GUM),
+4.3 and 5.2.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from bench.readings.table import UNORIENTED, VERIFICATION, Readings
 
 GRAVITY: Final = "gravity"
 METERS: Final = ("voltmeter_gain", "voltmeter_offset")
-"""Errors that act alike wherever the same meters read the block."""
+"""Errors that are the same wherever the same voltmeters read the block."""
 OF_BLOCK: Final = ("K2", "K3")
-"""Errors that the block brings to every calibration and check of it."""
+"""Errors of the block itself, the same in every calibration and check."""
 VOLTS: Final = "V"
 
 
 @dataclass(frozen=True)
-class Taken:
-    """Readings that were taken, as errors act on them: the forces are those that `block` tells from the signals."""
+class MeasuredReadings:
+    """Measured readings, as errors act on them; `block` gives the forces from the signals."""
 
     readings: Readings
     block: Block
@@ -62,7 +62,7 @@ class Taken:
 
     @cached_property
     def orientation(self) -> Ints:
-        """A number for each orientation, (n,): that of an installation at a whole degree, else of the row alone."""
+        """A number for each orientation, (n,): installation and whole degree; a row of its own without them."""
         of = self.readings
         degrees = np.where(np.isfinite(of.angle_rad), np.degrees(of.angle_rad), 0.0)
         keys = np.stack([np.round(degrees) % 360, np.zeros(len(of))], axis=1)
@@ -85,10 +85,10 @@ def sign(
     day: date | None = None,
     meters: KnownMeters | None = None,
 ) -> Calibration:
-    """Return the calibration with the combined covariance: of its readings and of what they do not show.
+    """Return the calibration with the combined covariance: of its readings and of the errors they do not show.
 
-    `readings` is the whole table that it was made from, `day` that of the readings, `meters` what was
-    learned of the voltmeters. The meters' errors are in volts, and so in no result of readings in another unit.
+    `readings` is the whole table behind it, `day` its date, `meters` the learned errors of the voltmeters. For
+    readings in another unit than volts nothing is added, since the meters' errors are in volts.
     """
     if readings.unit != VOLTS:
         return replace(calibration, notes=(*calibration.notes, _NO_VOLTS.format(unit=readings.unit)))
@@ -117,9 +117,9 @@ def sign(
 
 
 def dof_through(calibration: Calibration, jacobian: Floats, known: float | Floats = 0.0) -> Floats:
-    """Return the effective degrees of freedom (m,) of what is computed from the coefficients of `sign`.
+    """Return the effective degrees of freedom (m,) of quantities computed from the coefficients of `sign`.
 
-    `jacobian` (m, 12) are the derivatives by the coefficients, `known` further variances, of infinite freedom.
+    `jacobian` (m, 12) has their derivatives by the coefficients, `known` further variances with infinite dof.
     """
     if not calibration.sources:
         return np.full(len(jacobian), np.inf)
@@ -135,7 +135,7 @@ def _foundation(readings: Readings, bench: BenchFile) -> Foundation | None:
 
 
 def _on_roll(roll: Floats, covariance: Floats) -> tuple[str, ...]:
-    """Say what would show the third mounting angle, where it is most of the uncertainty of a coefficient."""
+    """Say how to measure the third mounting angle, where it is most of a coefficient's uncertainty."""
     most = [
         n
         for n, part, u2 in zip(COEFFICIENTS, np.diag(roll), np.diag(covariance), strict=True)
@@ -161,15 +161,15 @@ def delta_g_elsewhere(
     *, same_meters: bool, day: date | None = None, block_terms: Floats | None = None,
     meters: KnownMeters | None = None,
 ) -> Floats:  # fmt: skip
-    """Return the covariance (v, v) of |a| at the verification rows for coefficients of another day.
+    """Return the covariance (v, v) of |a| at the verification rows for coefficients of another day, in local g².
 
-    In the local g of the coefficients. `covariance` (12, 12) and `noise` (3,) are those of the coefficients,
-    without the meters' gain and offset where they are the `same_meters` as here: then these cancel; else those here
-    come on top. `block_terms` (12, q) are those of `Calibration`: what K2 and K3 did to the coefficients they do to
-    the readings at the points as well. What else acts there counts in full.
+    `covariance` (12, 12) and `noise` (3,) belong to the coefficients. With the `same_meters` as here, gain and
+    offset of the meters cancel and must not be in that covariance; else those of today's meters are added.
+    `block_terms` (12, q) of `Calibration` correlate K2 and K3 in the coefficients with K2 and K3 in the readings at
+    the points. All other errors of the readings count in full.
     """
     rows = np.flatnonzero(readings.installation == VERIFICATION)
-    taken = Taken(readings, block, _meters(bench), np.zeros((len(readings), 3)))
+    taken = MeasuredReadings(readings, block, _meters(bench), np.zeros((len(readings), 3)))
     by_coefficient, by_signal = modulus_slopes(taken.force[rows], block)
     whole = by_coefficient @ covariance @ by_coefficient.T + np.diag(np.sum((by_signal * noise) ** 2, axis=1))
     if readings.unit != VOLTS:
@@ -198,10 +198,10 @@ def delta_g_contributions(
     day: date | None = None,
     meters: KnownMeters | None = None,
 ) -> dict[str, Floats]:
-    """Return what makes up the covariance (v, v) of |a| at the verification rows of the table of `calibration`.
+    """Return the contributions to the covariance (v, v) of |a| at the verification rows of the calibration's table.
 
-    By name, in local g; their sum is the covariance. An error that acts on calibration and check alike, as the gain
-    of a meter, acts here by what is left of both: it cancels. The noise of the readings at the points is among it.
+    By name, in local g²; their sum is the covariance. An error that acts on calibration and check alike, such as
+    the gain of a meter, cancels. The noise of the readings at the points is one of them.
     """
     rows = np.flatnonzero(readings.installation == VERIFICATION)
     taken = _taken(calibration, readings, bench)
@@ -241,8 +241,8 @@ def delta_g_contributions(
     return found
 
 
-def _taken(calibration: Calibration, readings: Readings, bench: BenchFile) -> Taken:
-    return Taken(readings, calibration.block, _meters(bench), calibration.slope)
+def _taken(calibration: Calibration, readings: Readings, bench: BenchFile) -> MeasuredReadings:
+    return MeasuredReadings(readings, calibration.block, _meters(bench), calibration.slope)
 
 
 def _meters(bench: BenchFile) -> tuple[int, int, int]:
@@ -258,7 +258,7 @@ def _acting(
 ) -> list[ErrorSource]:
     """The errors that no reading shows.
 
-    Linearity is none of them where the readings showed what repeats share, at least as large: it is in that.
+    Linearity is left out where repeats share at least as large an error in the readings: that one contains it.
     """
     shown = max((c.size for c in calibration.shared if c.what == "setting"), default=0.0)
     return [
@@ -268,7 +268,7 @@ def _acting(
     ]
 
 
-def _source(error: ErrorSource, taken: Taken, gain: Floats) -> SourceOfError:
+def _source(error: ErrorSource, taken: MeasuredReadings, gain: Floats) -> SourceOfError:
     parts = parts_of(error, taken, gain)
     return SourceOfError(
         error.name, error.symbol, error.shown, error.origin, error.prior, error.dof, parts @ parts.T,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.calibration.budget.meters import Told, together
+from bench.calibration.budget.meters import LearnedDifferences, joint_errors
 
 PRIOR = np.array([20e-6, 20e-6, 20e-6])
 NONE = np.zeros(3, dtype=bool)
@@ -12,7 +12,7 @@ VALUES = np.array([10e-6, -4e-6, -6e-6])
 
 def told(u=1e-6, group=(0, 0, 0), values=VALUES):
     centred = np.eye(3) - np.ones((3, 3)) / 3
-    return Told(values, u**2 * centred, group)
+    return LearnedDifferences(values, u**2 * centred, group)
 
 
 def of_difference(covariance, a, b):
@@ -20,7 +20,7 @@ def of_difference(covariance, a, b):
 
 
 def test_every_meter_stays_as_uncertain_as_it_was_and_their_difference_is_the_learned():
-    found = together(told(), [0, 1, 2], PRIOR, NONE, 1.0)
+    found = joint_errors(told(), [0, 1, 2], PRIOR, NONE, 1.0)
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), PRIOR)
     assert of_difference(found.covariance, 0, 1) == pytest.approx(np.sqrt(2) * 1e-6, rel=0.01)
     assert found.mean[0] - found.mean[1] == pytest.approx(14e-6, rel=0.01)
@@ -30,13 +30,13 @@ def test_every_meter_stays_as_uncertain_as_it_was_and_their_difference_is_the_le
 
 
 def test_differences_hardly_known_leave_the_limits_as_they_were():
-    found = together(told(u=1e-3), [0, 1, 2], PRIOR, NONE, 1.0)
+    found = joint_errors(told(u=1e-3), [0, 1, 2], PRIOR, NONE, 1.0)
     np.testing.assert_allclose(found.covariance, np.diag(PRIOR**2), atol=1e-3 * PRIOR[0] ** 2)
     np.testing.assert_allclose(found.mean, 0.0, atol=1e-8)
 
 
 def test_they_age():
-    fresh, old = (together(told(), [0, 1, 2], PRIOR, NONE, kept) for kept in (1.0, 0.5))
+    fresh, old = (joint_errors(told(), [0, 1, 2], PRIOR, NONE, kept) for kept in (1.0, 0.5))
     assert of_difference(old.covariance, 0, 1) > 10 * of_difference(fresh.covariance, 0, 1)
     assert of_difference(old.covariance, 0, 1) < np.sqrt(2) * PRIOR[0]
     np.testing.assert_allclose(np.sqrt(np.diag(old.covariance)), PRIOR)
@@ -44,12 +44,12 @@ def test_they_age():
 
 def test_a_certificate_is_never_touched_and_the_others_follow_it():
     prior = np.array([3e-6, 20e-6, 20e-6])
-    found = together(told(), [0, 1, 2], prior, np.array([True, False, False]), 1.0)
+    found = joint_errors(told(), [0, 1, 2], prior, np.array([True, False, False]), 1.0)
     assert found.mean[0] == 0.0
     assert found.covariance[0, 0] == pytest.approx(prior[0] ** 2)
     assert found.mean[1] == pytest.approx(-14e-6, rel=0.02)
     assert np.sqrt(found.covariance[1, 1]) == pytest.approx(np.hypot(3e-6, np.sqrt(2) * 1e-6), rel=0.02)
-    everyone = together(told(), [0, 1, 2], prior, ~NONE, 1.0)
+    everyone = joint_errors(told(), [0, 1, 2], prior, ~NONE, 1.0)
     assert everyone == "certificates state all of it"
 
 
@@ -64,7 +64,7 @@ def test_no_covariance_is_negative_and_no_difference_surer_than_by_bayes():
         apart = np.array([[a == b for b in group] for a in group])
         centre = np.eye(3) - apart / apart.sum(axis=0)
         spread = centre @ np.diag(rng.uniform(1e-7, 2e-5, 3) ** 2) @ centre
-        found = together(Told(np.zeros(3), spread, group), [0, 1, 2], prior, certified, 1.0)
+        found = joint_errors(LearnedDifferences(np.zeros(3), spread, group), [0, 1, 2], prior, certified, 1.0)
         if isinstance(found, str):
             continue
         tried += 1
@@ -81,6 +81,6 @@ def test_no_covariance_is_negative_and_no_difference_surer_than_by_bayes():
 
 
 def test_limits_that_are_contradicted_are_told():
-    said = together(told(values=20 * VALUES), [0, 1, 2], PRIOR, NONE, 1.0)
+    said = joint_errors(told(values=20 * VALUES), [0, 1, 2], PRIOR, NONE, 1.0)
     assert "contradict what certificates or makers' limits allow" in said
-    assert together(told(), [0, None, None], PRIOR, NONE, 1.0) == "no two of these meters were compared"
+    assert joint_errors(told(), [0, None, None], PRIOR, NONE, 1.0) == "no two of these meters were compared"
