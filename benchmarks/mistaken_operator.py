@@ -62,7 +62,7 @@ class Mistake:
 def pass_of(plan: Plan, index: int) -> str:
     """Say in which pass a step stands, such as "2.3": installation and pass."""
     step = plan.steps[index]
-    return f"{step.installation}.{step.pass_number}" if isinstance(step, Turn) else f"{step.installation}.1"  # type: ignore[union-attr]
+    return f"{step.installation}.{step.pass_number}" if isinstance(step, Turn) else f"{step.installation}.1"  # type: ignore[attr-defined]
 
 
 def draw(kind: str, number: int, plan: Plan, installations: Mapping[str, Installation], seed: int) -> Mistake:
@@ -189,7 +189,7 @@ class _Hands:
         self.mended = mistake is None
         if mistake is not None and mistake.label is not None:
             model = world.settings.model
-            extra = orientations(model.installations, plan.steps[mistake.index].installation)  # type: ignore[union-attr]
+            extra = orientations(model.installations, plan.steps[mistake.index].installation)  # type: ignore[attr-defined]
             model = replace(model, installations={**model.installations, **extra})
             world.settings = replace(world.settings, model=model)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 import numpy as np
 from pydantic import Field
@@ -15,7 +15,7 @@ from bench.base.tables import table
 from bench.base.text import APPROACH, degrees
 from bench.config.bench_file.file import BenchFile
 from bench.config.procedure.check import switched_before
-from bench.config.procedure.plan import Plan, Read, Step, Turn
+from bench.config.procedure.plan import KINDS, Plan, Read, Step, Turn
 from bench.config.procedure.steps import scan_in_words
 from bench.model.geometry import COEFFICIENTS
 from bench.planning.settings import Outlook, Remedy
@@ -350,7 +350,7 @@ def _times(codes: Sequence[int], start: int, period: int) -> int:
 
 _POINT: Final = frozenset({"key", "point", "target_rad"})
 _POINT_AND_PASS: Final = _POINT | {"pass_number"}
-_FIELDS: Final = {kind: tuple(f.name for f in fields(kind)) for kind in get_args(Step)}
+_FIELDS: Final = {kind: tuple(f.name for f in fields(kind)) for kind in KINDS}
 
 
 def _shape(step: Step, without: frozenset[str]) -> tuple[Any, ...]:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final, TypedDict, cast
 
@@ -213,9 +213,14 @@ Result = (
 _KINDS: Final = (Mounted, Turned, TemperatureSet, CameToRest, InputSelected, Answered, Levelled, Powered)
 """Results, which their fields tell apart in a record."""
 
-_FIELDS: Final[Mapping[Callable[..., Result], tuple[str, ...]]] = {
-    kind: tuple(of.name for of in fields(kind)) for kind in _KINDS
-}
+
+@cache
+def _fields() -> Mapping[Callable[..., Result], tuple[str, ...]]:
+    """Return the fields of each kind of result; kinds of step in modules of their own bring theirs."""
+    from bench.config.procedure.plan import KINDS  # takes long to import
+
+    further = (kind.BRINGS for kind in KINDS if kind.BRINGS is not None)
+    return {kind: tuple(of.name for of in fields(kind)) for kind in (*_KINDS, *further)}
 
 
 def result_to_json(result: Result | None) -> dict[str, Any]:
@@ -232,7 +237,7 @@ def result_from_json(data: Mapping[str, Any]) -> Result | None:
     """
     if "reading" in data:
         return Reading.from_json(data["reading"] | {"samples": {}})
-    for kind, names in _FIELDS.items():
+    for kind, names in _fields().items():
         values: dict[str, Any] = {name: data[name] for name in names if name in data}
         if values:
             return kind(**values)

@@ -290,6 +290,9 @@ class Workbench:
                 return self.switch(step)
             case Level():
                 return self._level(step)
+            case _:  # a kind in a module of its own
+                brought: Result | None = step.carry_out(self)
+                return brought
 
     def mount(self, step: Mount) -> Mounted:
         """Have the block mounted, and the temperature told where a person must tell it."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -16,33 +16,27 @@ from bench.config.procedure.file import (
     InstallationVerb,
     LevelVerb,
     PowerVerb,
-    PromptVerb,
     ReadingSection,
     ReadVerb,
     RepeatVerb,
     SettleForm,
-    SettleVerb,
     StepEntry,
     TemperaturesVerb,
-    TemperatureVerb,
     TurnVerb,
+    heating,
 )
 from bench.config.procedure.plan import (
     SETTLING,
-    Ask,
     Level,
     Mount,
     OnFailure,
-    Power,
     Read,
     SelectInput,
-    SetTemperature,
-    Settle,
     Step,
     Turn,
     Wait,
 )
-from bench.config.procedure.steps import mount_in_words
+from bench.config.procedure.steps import ActionVerb, mount_in_words
 from bench.readings.table import REFERENCE, SHORTED
 from drivers.interfaces import Direction
 
@@ -150,39 +144,35 @@ class Expansion:
             self._one(entry, (*place, index), self._since_switched(context))
 
     def _one(self, entry: StepEntry, place: Place, context: _Context) -> None:
-        if entry.installation is not None:
-            self._installation(entry.installation, (*place, "installation"), context)
-        elif entry.repeat is not None:
-            self._repeat(entry.repeat, (*place, "repeat"), context)
-        elif entry.turn is not None:
-            self._turn(entry.turn, (*place, "turn"), context)
-        elif entry.read is not None:
-            self._reading(entry.read, (*place, "read"), context)
-        elif entry.input is not None:
-            self._input(entry.input, (*place, "input"), context)
-        elif entry.temperatures is not None:
-            self._temperatures(entry.temperatures, (*place, "temperatures"), context)
-        elif entry.level is not None:
-            self._level(entry.level, place, context)
-        elif entry.include is not None:
-            path = self._path_of(context.document, entry.include)
-            inside = context.inside(self._documents[path], self._files[path])
-            self._all(self._files[path].steps, ("steps",), inside)
-        else:
-            self._alone(entry, context)
+        verb, body = entry.given
+        here = (*place, verb)
+        match body:
+            case InstallationVerb():
+                self._installation(body, here, context)
+            case RepeatVerb():
+                self._repeat(body, here, context)
+            case TurnVerb():
+                self._turn(body, here, context)
+            case ReadVerb():
+                self._reading(body, here, context)
+            case InputVerb():
+                self._input(body, here, context)
+            case TemperaturesVerb():
+                self._temperatures(body, here, context)
+            case LevelVerb():
+                self._level(body, place, context)
+            case str():
+                path = self._path_of(context.document, body)
+                inside = context.inside(self._documents[path], self._files[path])
+                self._all(self._files[path].steps, ("steps",), inside)
+            case ActionVerb():
+                self._take(body.plan_steps(self._key))
+                if isinstance(body, PowerVerb):
+                    self._note_power(body, context)
 
-    def _alone(self, entry: StepEntry, context: _Context) -> None:
-        """Take a verb that is of the whole bench and holds no steps."""
-        if entry.wait is not None:
-            self._wait(entry.wait.duration, entry.wait.reason)
-        elif entry.settle is not None:
-            self._settle(entry.settle)
-        elif entry.prompt is not None:
-            self._prompt(entry.prompt)
-        elif entry.temperature is not None:
-            self._temperature(entry.temperature, entry.temperature.at)
-        elif entry.power is not None:
-            self._power(entry.power, context)
+    def _take(self, steps: Iterator[Step]) -> None:
+        for step in steps:  # one by one: a key counts those before it
+            self._steps.append(step)
 
     def _path_of(self, document: Document, name: str) -> Path:
         """Return the path by which an included file is known; the system is asked for it once."""
@@ -249,7 +239,7 @@ class Expansion:
             return
         settle = context.reading.settle
         if isinstance(settle, SettleForm):
-            self._settle(settle)
+            self._take(settle.plan_steps(self._key))
         elif settle:
             self._wait(settle, SETTLING)
         self._reading(ReadVerb(), place, context)
@@ -302,17 +292,8 @@ class Expansion:
     def _wait(self, duration_s: float, reason: str) -> None:
         self._steps.append(Wait(self._key("wait"), duration_s, reason))
 
-    def _settle(self, verb: SettleVerb) -> None:
-        key = self._key("settle")
-        self._steps.append(Settle(key, verb.what, verb.precision, verb.window, verb.timeout, verb.interval))
-
-    def _prompt(self, verb: PromptVerb) -> None:
-        self._steps.append(Ask(self._key("ask"), **dict(verb)))
-
-    def _power(self, verb: PowerVerb, context: _Context) -> None:
-        """Switch the block; what is measured once it is on again, on the same mounting, is a series of its own."""
-        key = self._key("power")
-        self._steps.append(Power(key, verb.switch, verb.off_for or 0.0, verb.warm_up))
+    def _note_power(self, verb: PowerVerb, context: _Context) -> None:
+        """What is measured once the block is on again, on the same mounting, is a series of its own."""
         mounted = (context.installation, context.series)
         if verb.switch != "off" and mounted in self._measured:
             self._since_power[mounted] = None
@@ -328,18 +309,11 @@ class Expansion:
             series = following
         return context if series == context.series else replace(context, series=series)
 
-    def _temperature(self, verb: TemperatureVerb | TemperaturesVerb, at_c: float) -> None:
-        self._steps.append(SetTemperature(self._key("temperature"), at_c))
-        if verb.settle is not None:
-            self._settle(verb.settle)
-        if verb.soak:
-            self._wait(verb.soak, f"soak at {at_c:g} °C")
-
     def _temperatures(self, verb: TemperaturesVerb, place: Place, context: _Context) -> None:
         """Do the steps at each temperature; while the block stays mounted, each has a series of its own."""
         inside = context
         for at_c in verb.at:
-            self._temperature(verb, at_c)
+            self._take(heating(verb, at_c, self._key))
             inside = self._since_switched(inside)
             if (inside.installation, inside.series) in self._measured:
                 inside = replace(inside, series=self._next_series(inside.installation))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Final, Literal
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import (
     AfterValidator,
@@ -11,6 +12,7 @@ from pydantic import (
     Discriminator,
     Field,
     Tag,
+    create_model,
     field_validator,
     model_validator,
 )
@@ -28,8 +30,18 @@ from bench.base.units import (
     parse_quantity,
 )
 from bench.base.yaml_files import FileModel
-from bench.config.procedure.plan import OnFailure, OperatorTime
-from bench.config.procedure.steps import Switching
+from bench.config.procedure.plan import KINDS, OnFailure, OperatorTime
+from bench.config.procedure.steps import (
+    ActionVerb,
+    Ask,
+    Power,
+    SetTemperature,
+    Settle,
+    Settled,
+    Step,
+    Switching,
+    Wait,
+)
 from bench.readings.table import UNORIENTED, scan_order
 from drivers.person import PromptKind
 
@@ -41,7 +53,7 @@ MOST_SAMPLES: Final = 1_000_000
 TEMPERATURE_DIFFERENCE: Final = QuantityKind("a difference of temperatures", "0.1 K", "K", only=("K", "mK"))
 
 
-class SettleForm(FileModel):
+class SettleForm(ActionVerb):
     """When something has settled: each sample of a `window` within `precision`, one taken each `interval`."""
 
     precision: float
@@ -62,6 +74,11 @@ class SettleForm(FileModel):
                 "the timeout is at least the window and one interval: one sample is older than it"
             )
         return self
+
+    def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
+        """Yield the settling; what settles is said by the kinds of it."""
+        what: Settled = getattr(self, "what")  # noqa: B009 - both kinds have it
+        yield Settle(key("settle"), what, self.precision, self.window, self.timeout, self.interval)
 
 
 class SignalSettle(SettleForm):
@@ -306,14 +323,18 @@ class InputVerb(FileModel):
         return self
 
 
-class WaitVerb(FileModel):
+class WaitVerb(ActionVerb):
     """Let bench time pass."""
 
     duration: SpanS = Field(alias="for")
     reason: str = "waiting"
 
+    def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
+        """Yield the wait."""
+        yield Wait(key("wait"), self.duration, self.reason)
 
-class PromptVerb(FileModel):
+
+class PromptVerb(ActionVerb):
     """Ask the operator; the answer is recorded. Without a default a dry run cannot answer."""
 
     kind: PromptKind
@@ -340,6 +361,10 @@ class PromptVerb(FileModel):
             self._check_default_number(self.default)
         return self
 
+    def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
+        """Yield the question."""
+        yield Ask(key("ask"), **dict(self))
+
     def _check_default_number(self, default: str) -> None:
         try:
             value = float(default)
@@ -351,12 +376,16 @@ class PromptVerb(FileModel):
             raise ValueError(f"the default {value:g} is not between {low:g} and {high:g}")
 
 
-class TemperatureVerb(FileModel):
+class TemperatureVerb(ActionVerb):
     """Set the chamber, wait until the temperature has settled, then let the block soak."""
 
     at: TemperatureC
     settle: TemperatureSettle | None = None
     soak: SpanS = 0.0
+
+    def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
+        """Yield the setting, the settling and the soak."""
+        yield from heating(self, self.at, key)
 
 
 class TemperaturesVerb(FileModel):
@@ -371,7 +400,18 @@ class TemperaturesVerb(FileModel):
     steps: Steps
 
 
-class PowerVerb(FileModel):
+def heating(
+    verb: TemperatureVerb | TemperaturesVerb, at_c: float, key: Callable[[str], str]
+) -> Iterator[Step]:
+    """Yield the steps by which the chamber, and in it the block, comes to a temperature."""
+    yield SetTemperature(key("temperature"), at_c)
+    if verb.settle is not None:
+        yield from verb.settle.plan_steps(key)
+    if verb.soak:
+        yield Wait(key("wait"), verb.soak, f"soak at {at_c:g} °C")
+
+
+class PowerVerb(ActionVerb):
     """Switch the block on or off, or off and on again: `power: on`, `power: {switch: cycle, off_for: 10 min}`.
 
     In a cycle it is off for `off_for` at least, and never for less than the bench file says. Once it is on it warms
@@ -395,8 +435,12 @@ class PowerVerb(FileModel):
             raise ValueError("a block that is switched off does not warm up; leave 'warm_up' out")
         return self
 
+    def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
+        """Yield the switching."""
+        yield Power(key("power"), self.switch, self.off_for or 0.0, self.warm_up)
 
-class StepEntry(FileModel):
+
+class _StepEntry(FileModel):
     """One step: exactly one of the verbs."""
 
     installation: InstallationVerb | None = None
@@ -421,13 +465,28 @@ class StepEntry(FileModel):
         return {**written, bare[0]: {}} if bare and written[bare[0]] is None else written
 
     @model_validator(mode="after")
-    def _one_verb(self) -> StepEntry:
+    def _one_verb(self) -> _StepEntry:
         given = [verb for verb in self.model_fields_set if getattr(self, verb) is not None]
         if len(given) != 1:
             given.sort(key=VERBS.index)
             got = f", not {' and '.join(given)} together" if given else ", and this one has none"
             raise ValueError(f"a step has one of the verbs {', '.join(VERBS)}{got}")
         return self
+
+    @property
+    def given(self) -> tuple[str, Any]:
+        """The verb, and what is said of it."""
+        return next(
+            (verb, getattr(self, verb)) for verb in self.model_fields_set if getattr(self, verb) is not None
+        )
+
+
+if TYPE_CHECKING:
+    StepEntry = _StepEntry
+else:
+    # kinds of step in modules of their own bring their verbs
+    _FURTHER = {kind.NAME: (kind.VERB | None, None) for kind in KINDS if kind.VERB is not None}
+    StepEntry = create_model("StepEntry", __base__=_StepEntry, __doc__=_StepEntry.__doc__, **_FURTHER)
 
 
 class IncludedFile(FileModel):

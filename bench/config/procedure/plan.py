@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, Final
 
@@ -18,6 +18,7 @@ from bench.config.procedure.steps import (
     Level,
     Mount,
     OnFailure,
+    OperatorTime,
     Power,
     Read,
     SelectInput,
@@ -25,37 +26,24 @@ from bench.config.procedure.steps import (
     Settle,
     Settled,
     Step,
+    Times,
     Turn,
     Wait,
     mount_in_words,
+    power_duration_s,
 )
 from drivers.person import PromptKind
 
 __all__ = ["SETTLING", "Ask", "InputSource", "Level", "Mount", "OnFailure", "OperatorTime", "Plan", "Power", "Read",
            "SelectInput", "SetTemperature", "Settle", "Settled", "Step", "Turn", "Wait"]  # fmt: skip
 
-_SAMPLE_OVERHEAD_S: Final = 0.01
+KINDS: Final[tuple[type[Step], ...]] = (
+    Mount, Turn, Wait, Settle, Read, SelectInput, Ask, SetTemperature, Level, Power,
+)  # fmt: skip
+"""Every kind of step, in the order of counts: one in a module of its own is added here."""
 
-_STEPS: Final[Mapping[str, type[Step]]] = {
-    "mount": Mount, "turn": Turn, "wait": Wait, "settle": Settle, "read": Read, "input": SelectInput,
-    "ask": Ask, "temperature": SetTemperature, "level": Level, "power": Power,
-}  # fmt: skip
-"""Every kind of step by the name it has in counts and in JSON, in the order in which they are told."""
-
-_NAMES: Final = {step: name for name, step in _STEPS.items()}
-_FIELDS: Final = {step: tuple(f.name for f in fields(step)) for step in _NAMES}
-_BY_OPERATOR: Final = (Mount, Turn, SelectInput, Ask, SetTemperature, Level)
-
-
-@dataclass(frozen=True, slots=True)
-class OperatorTime:
-    """How long the operator is expected to take: a turn, a mounting, switching the inputs, any other task, s."""
-
-    turn_s: float = 120.0
-    mount_s: float = 1200.0
-    answer_s: float = 30.0
-    input_s: float = 60.0
-
+_STEPS: Final[Mapping[str, Callable[..., Step]]] = {kind.NAME: kind for kind in KINDS}
+_FIELDS: Final = {kind: tuple(f.name for f in fields(kind)) for kind in KINDS}
 
 _ADDED: Final[Mapping[str, object]] = {
     "on_failure": OnFailure(), "input_s": OperatorTime().input_s, "scan": "",
@@ -73,7 +61,7 @@ class Plan:
     name: str
     steps: tuple[Step, ...]
     procedure_sha256: str
-    operator_time: OperatorTime = OperatorTime()
+    operator_time: OperatorTime = field(default_factory=OperatorTime)
 
     @cached_property
     def hash(self) -> str:
@@ -88,11 +76,11 @@ class Plan:
     def counts(self) -> dict[str, int]:
         """Return how many steps there are of each kind that occurs."""
         found = Counter(type(step) for step in self.steps)
-        return {name: found[step] for name, step in _STEPS.items() if found[step]}
+        return {kind.NAME: found[kind] for kind in KINDS if found[kind]}
 
     def operator_actions(self) -> int:
         """Return how often the operator has something to do on a bench without motors."""
-        return sum(isinstance(step, _BY_OPERATOR) for step in self.steps)
+        return sum(step.BY_OPERATOR for step in self.steps)
 
     def begins_on(self) -> bool:
         """Whether the block is to be on before the first step: unless it is switched before the first reading."""
@@ -104,29 +92,9 @@ class Plan:
     ) -> float:
         """Return the expected time of a step, s; of settling, the shortest that it can take.
 
-        Autozero makes a sample two integrations long. `supply` is that of the block, which is switched.
+        `supply` is that of the block, which is switched.
         """
-        match step:
-            case Mount():
-                seconds = self.operator_time.mount_s
-            case Turn():
-                seconds = self.operator_time.turn_s
-            case Wait():
-                seconds = step.duration_s
-            case Settle():
-                seconds = min(step.window_s + step.interval_s, step.timeout_s)
-            case Read():
-                seconds = step.samples * (2.0 * step.nplc / line_hz + _SAMPLE_OVERHEAD_S)
-            case SelectInput():
-                seconds = self.operator_time.input_s
-            case Ask() | SetTemperature():
-                seconds = self.operator_time.answer_s
-            case Power():
-                seconds = power_duration_s(step, supply)
-            case Level():
-                seconds = step.settings * (self.operator_time.turn_s + 4.0 * self.operator_time.answer_s)
-                seconds += self.operator_time.mount_s * (step.within_rad is not None)
-        return seconds
+        return step.takes_s(Times(self.operator_time, line_hz, supply))
 
     def duration_by_kind_s(
         self, line_hz: float = 50.0, supply: UnitSupplySection | None = None
@@ -137,7 +105,7 @@ class Plan:
         """
         total = dict.fromkeys(self.counts(), 0.0)
         for step in self.steps:
-            total[_NAMES[type(step)]] += self.step_duration_s(step, line_hz, supply)
+            total[step.NAME] += self.step_duration_s(step, line_hz, supply)
         if supply is not None and self.begins_on():
             total["power"] = total.get("power", 0.0) + power_duration_s(SWITCHED_ON, supply)
         return total
@@ -200,28 +168,13 @@ SWITCHED_ON: Final = Power("start/power", "on")
 """What a run does before its first step, where the block has a supply and the plan `begins_on`."""
 
 
-def power_duration_s(step: Power, supply: UnitSupplySection | None) -> float:
-    """Return how long switching takes, s, with the time off and the shortest warm-up, as far as both are stated."""
-    least_off_s, switching_s, warm_up_s = (
-        (0.0, 0.0, 0.0) if supply is None else (supply.least_off, supply.switching_s, supply.warm_up_s)
-    )
-    warm_up_s = warm_up_s if step.warm_up_s is None else step.warm_up_s
-    match step.switch:
-        case "on":
-            return least_off_s + switching_s + warm_up_s
-        case "off":
-            return switching_s
-        case "cycle":
-            return max(step.off_s, least_off_s) + 2.0 * switching_s + warm_up_s
-
-
 def _warms_up(step: Power) -> bool:
     """Whether a step has the warm-up that the bench file states."""
     return step.switch != "off" and step.warm_up_s is None
 
 
 def _step_to_json(step: Step) -> dict[str, Any]:
-    written: dict[str, Any] = {"step": _NAMES[type(step)]}
+    written: dict[str, Any] = {"step": step.NAME}
     for name in _FIELDS[type(step)]:
         value = getattr(step, name)
         match value:
