@@ -1,6 +1,9 @@
 """Differences of voltmeters from runs of one block with them exchanged, to the calibrations that take them."""
 
+import contextlib
+import io
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -8,26 +11,41 @@ import pytest
 import yaml
 
 import bench as program
+from bench.cli.app import main
 from tests.support.exchanged_meters import GAIN, bench_text, leave, of_one_block, today
 from tests.support.schemas import keeps_to
 
 TRUE = GAIN["23"] - GAIN["22"]
 
 
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory):
+    """Seed 31: three runs of one block with each meter on each channel, a fourth one with the learned file.
+
+    Its folder, what the command printed, and the true coefficients.
+    """
+    folder = tmp_path_factory.mktemp("exchanged")
+    printed = io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(printed):
+        made = of_one_block(np.random.default_rng(31), 4)
+        orders = ("xyz", "yzx", "zxy")
+        names = [leave(f"r{k}", made.tables()[k - 1], order, today()) for k, order in enumerate(orders, 1)]
+        leave("r4", made.tables()[3], "xyz", today(), bench_text("xyz", "learned.yaml"))
+        with pytest.raises(SystemExit) as ended:
+            main(["learn", *names, "--json", "learn.json"])
+    assert not ended.value.code
+    return folder, printed.getvalue(), made.truths[0]
+
+
 @pytest.fixture
-def learned(bench, empty_folder):
-    """Seed 31: three runs of one block with each meter on each channel, a fourth one with the learned file."""
-    made = of_one_block(np.random.default_rng(31), 4)
-    names = [
-        leave(f"r{k}", table, order, today())
-        for k, (table, order) in enumerate(
-            zip(made.tables()[:3], ("xyz", "yzx", "zxy"), strict=True), start=1
-        )
-    ]
-    leave("r4", made.tables()[3], "xyz", today(), bench_text("xyz", "learned.yaml"))
-    status, out, err = bench("learn", *names, "--json", "learn.json")
-    assert status == 0, err
-    return out, made.truths[0]
+def learned(laboratory, empty_folder):
+    """The files of that laboratory in a folder of their own, what was printed, and the truth."""
+    folder, printed, truth = laboratory
+    shutil.copytree(folder, ".", dirs_exist_ok=True)
+    for beside in Path().glob("*.csv.json"):
+        told = beside.read_text(encoding="utf-8").replace(str(folder), str(Path.cwd()))
+        beside.write_text(told, encoding="utf-8")
+    return printed, truth
 
 
 def test_differences_are_told_with_u_and_who_they_are_of(learned):

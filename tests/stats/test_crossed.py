@@ -1,4 +1,4 @@
-"""Crossed effects of units and benches: against dense algebra, against statsmodels, recovery, honest u."""
+"""Crossed effects of units and benches, and many looks: dense algebra, statsmodels, recovery, honest u."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bench.history.bench_or_block import allotment
+from bench.stats import holm
 from bench.stats.crossed_effects import BENCH, EXCESS, UNIT, Crossing, fit, most, solve
 from benchmarks.crossed_effects import drawn
 
@@ -103,3 +104,8 @@ def test_benches_that_no_unit_joins_are_apart():
     assert crossing.alone().tolist() == [4]
     assert crossing.groups == 3
     assert crossing.repeated == 4
+
+
+def test_holm_is_that_of_its_published_example():
+    """Four looks at 0.01, 0.04, 0.03, 0.005: adjusted 0.03, 0.06, 0.06, 0.02."""
+    assert holm(np.array([0.01, 0.04, 0.03, 0.005])) == pytest.approx([0.03, 0.06, 0.06, 0.02])

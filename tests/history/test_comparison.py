@@ -209,7 +209,9 @@ def readings_files(folder):
 @pytest.mark.figures
 def test_the_command_compares_results_and_files_writes_and_judges(bench, tmp_path):
     readings_files(tmp_path)
-    bench("calibrate", "r0.csv", "--json", "r0.json")
+    bench("calibrate", "r0.csv", "r2.csv", "--json", "results.json")
+    for name, result in zip(("r0", "r2"), json.loads((tmp_path / "results.json").read_text()), strict=True):
+        (tmp_path / f"{name}.json").write_text(json.dumps(result))
     status, out, err = bench("compare", "r0.json", "r1.csv", "--strict", "--json", "alike.json")
     assert (status, err) == (0, "")
     assert "nothing changed beyond its uncertainty" in out
@@ -218,7 +220,7 @@ def test_the_command_compares_results_and_files_writes_and_judges(bench, tmp_pat
     assert len(alike["compared"][0]["coefficients"]) == 12
     dates = [text for day in ("2024-01-01", "2025-01-01", "2026-01-01") for text in ("--date", day)]
     status, out, _ = bench(
-        "compare", "r0.json", "r1.csv", "r2.csv", *dates, "--strict", "--out", "h", "--json", "-"
+        "compare", "r0.json", "r1.csv", "r2.json", *dates, "--strict", "--out", "h", "--json", "-"
     )
     assert status == 1
     result = json.loads(out)
@@ -227,7 +229,7 @@ def test_the_command_compares_results_and_files_writes_and_judges(bench, tmp_pat
     assert result == json.loads((tmp_path / "h" / "compare.json").read_text())
     assert "changed" not in result["first"]
     assert (tmp_path / "h" / "compare.svg").read_text().startswith("<?xml")
-    assert bench("compare", "r0.json", "r2.csv")[0] == 0
+    assert bench("compare", "results.json")[0] == 0
 
 
 @pytest.mark.slow
