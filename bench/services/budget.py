@@ -42,9 +42,9 @@ from bench.services.arguments import python_call
 from bench.services.bench_selection import BenchTaken, find_bench_file
 from bench.services.coefficients import read_coefficients
 from bench.services.errors import Refused, named, quantity
-from bench.services.learned import take_learned, with_effects
 from bench.services.requests.planning import Budget, Require
 from bench.services.source import NO_GRAVITY, check_gravity
+from bench.services.traceability import take_learned, with_effects
 from bench.services.verification import Asked, judgement_of
 from drivers.clock import utc_now
 

@@ -383,7 +383,9 @@ def verification_of(
 def verified(request: Verify, source: Source) -> VerificationResult:
     """Return the verification of a source as it was asked for. Raises as `verification_of`."""
     given = request.coefficients
-    return verification_of(source, Path(given) if isinstance(given, str) else given, Asked.of(request))
+    if given is not None and not isinstance(given, CalibrationResult):
+        given = Path(str(given))
+    return verification_of(source, given, Asked.of(request))
 
 
 def report_page(

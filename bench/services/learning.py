@@ -14,20 +14,32 @@ from rich.console import Console
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.tables import as_text
+from bench.calibration.budget.meters import may_move
 from bench.calibration.budget.sources import assumed_stand
+from bench.calibration.noise import METERS_DRIFT
+from bench.calibration.result import CalibrationError
 from bench.config.bench_file.learned import arcsec, learned_for, write_learned
 from bench.config.model_file import load_model
-from bench.history.learned import WAVE_NAMES, Learned
+from bench.history.learned import (
+    WAVE_NAMES,
+    Contrasts,
+    Learned,
+    MeterDifferences,
+    MeterRun,
+    exchanged,
+    meter_differences,
+)
 from bench.history.learning import learn as learn_from
 from bench.history.run_sums import run_fit
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.effects import Subsystem
 from bench.results.learning import LearnResult, RecordPart, learn_result, print_learned
 from bench.services.arguments import python_call
+from bench.services.calibration import calibration_of
 from bench.services.errors import Refused
-from bench.services.learned import differences_of, written_meters
 from bench.services.requests.history import Learn
 from bench.services.source import Source, data_sha256, load_sources, reading
+from bench.services.traceability import voltmeter_names
 from drivers.clock import utc_now
 
 USUAL_DAYS: Final = 365
@@ -274,3 +286,85 @@ def _require_one_bench(sources: Sequence[Source]) -> None:
         if own in hashes:
             raise Refused(f"{source.name}: has the same readings as {hashes[own]}; give each run once")
         hashes[own] = source.name
+
+
+# --- how the voltmeters differ --------------------------------------------------------------------------
+
+FEW_DOF: Final = 4.0
+NOT_RECORDED: Final = (
+    "differences between the voltmeters: no record says which voltmeter read which channel of which block; runs "
+    "do, and readings files that 'bench export' wrote from them"
+)
+BY_ADDRESS: Final = (
+    "; no record has their serial numbers, so that a voltmeter at another address passes for another (real runs "
+    "keep them; in a dry run only a bench file with certificates does)"
+)
+NOT_VOLTS: Final = "differences between the voltmeters: the signals are in {unit}"
+
+
+def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
+    """Return how the voltmeters of runs of one bench differ, or why these runs do not tell it.
+
+    The calibrations that it takes are with the stated limits of the stand, in whose rows' lengths these hardly are.
+    """
+    if sources[0].readings.unit != "V":
+        return NOT_VOLTS.format(unit=sources[0].readings.unit)
+    known = [
+        (source, by_channel, day)
+        for source in sources
+        if source.block_name
+        and (by_channel := _by_channel(source)) is not None
+        and (day := _day(source)) is not None
+    ]
+    if not known:
+        return NOT_RECORDED
+    kept = exchanged([(source.block_name, meters) for source, meters, _ in known])
+    runs = [run for i in kept if (run := _meter_run(*known[i])) is not None]
+    found = meter_differences(runs)
+    by_address = not any(source.origin.serials for source, _, _ in known if source.origin is not None)
+    return found + BY_ADDRESS if isinstance(found, str) and by_address and len(kept) > 1 else found
+
+
+def _by_channel(source: Source) -> tuple[str, str, str] | None:
+    of = voltmeter_names(source.bench, source.taken, source.origin, source.name)
+    return (of["x"], of["y"], of["z"]) if of else None
+
+
+def _day(source: Source) -> float | None:
+    """Return the day of a record, counted from year 1; None where it is not told."""
+    try:
+        return datetime.datetime.fromisoformat(source.made_at or "").timestamp() / 86400.0
+    except ValueError:
+        return None
+
+
+def _meter_run(source: Source, meters: tuple[str, str, str], day: float) -> MeterRun | None:
+    try:
+        found = calibration_of(source).calibration
+    except CalibrationError:
+        return None
+    anew = [s.covariance for s in found.sources if not s.cancels and s.of_block is None]
+    forms = {c: meter for meter in source.bench.instruments.voltmeters for c in meter.channels}
+    drift = [[may_move("voltmeter_gain", forms[c]), may_move("voltmeter_offset", forms[c])] for c in CHANNELS]
+    return MeterRun.of(
+        source.name, source.block_name, meters, day, found.block.vector,
+        sum(anew, found.covariance_readings), found.block_terms, np.array(drift), float(METERS_DRIFT.days),
+    )  # fmt: skip
+
+
+def written_meters(found: MeterDifferences) -> dict[str, Any]:
+    """Return the section of a learned file; covariances are widened for the few degrees of freedom."""
+    return {
+        "meters": list(found.meters),
+        "group": list(found.group),
+        "day": datetime.date.fromtimestamp(found.day * 86400.0).isoformat(),
+        "gain": _written(found.gain),
+        "offset_v": _written(found.zero),
+        "runs": list(found.runs),
+    }
+
+
+def _written(of: Contrasts) -> dict[str, Any]:
+    nu = max(float(np.min(of.freedom)), FEW_DOF)
+    covariance: Floats = of.covariance * (nu / (nu - 2.0) if np.isfinite(nu) else 1.0)
+    return {"values": of.values.tolist(), "covariance": ((covariance + covariance.T) / 2).tolist()}

@@ -32,17 +32,18 @@ from bench.services.bench_selection import (
     recorded_sha256,
 )
 from bench.services.errors import Refused, sentence
-from bench.services.learned import (
-    NOTHING,
+from bench.services.records import record_head, versions
+from bench.services.requests.shared import OnReadings, runs_folder
+from bench.services.traceability import (
+    NOTHING_LEARNED,
     LearnedTaken,
+    Traced,
     take_learned,
+    trace,
     voltmeter_names,
     with_effects,
     with_meters,
 )
-from bench.services.records import record_head, versions
-from bench.services.requests.shared import OnReadings, runs_folder
-from bench.services.traceability import Traced, trace
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -287,7 +288,7 @@ def _learned(
 ) -> LearnedTaken:
     file = taken.learned()
     if file is None:
-        return NOTHING
+        return NOTHING_LEARNED
     name = given if isinstance(given, str) else ""
     found = take_learned(
         file,

@@ -1,18 +1,34 @@
-"""Certificates of the instruments with readings: which count, what is corrected by them, what a result says."""
+"""What is known of the instruments of a bench for readings: certificates, and what other runs taught."""
 
 from __future__ import annotations
 
 import datetime
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Final
 
-from bench.config.bench_file.file import BenchFile, Standing, corrections_of, standings, without
+import numpy as np
+
+from bench.calibration.budget.meters import KnownMeters, LearnedDifferences, LearnedMeters, known_meters
+from bench.calibration.noise import KnownNoise, KnownStand
+from bench.config.bench_file.file import (
+    BenchFile,
+    FileMistakes,
+    Standing,
+    corrections_of,
+    load_recorded_bench,
+    standings,
+    without,
+)
+from bench.config.bench_file.learned import LearnedFile, MetersEntry
 from bench.config.devices.sections import CERTIFICATE, VoltmeterForm
+from bench.model.effects import AppliedEffect, Effect
+from bench.model.forward import ForwardModel
 from bench.readings.corrected import VOLTS, Corrections, corrected
 from bench.readings.table import Readings
 from bench.results.parts import CorrectionPart
-from bench.services.bench_selection import BenchTaken, Origin
+from bench.services.bench_selection import BenchTaken, Origin, instrument_name
 from drivers.clock import utc_now
 
 NO_CORRECTIONS: Final = Corrections()
@@ -132,3 +148,151 @@ def _why_not(standing: Standing, taken: BenchTaken, readings: Readings, origin: 
     if of_meter and readings.unit != VOLTS:
         return f"the signals are in {readings.unit}"
     return ""
+
+
+# --- what was learned -----------------------------------------------------------------------------
+
+
+def voltmeter_names(
+    bench: BenchFile, taken: BenchTaken, origin: Origin | None, readings: str
+) -> dict[str, str]:
+    """Return who read each channel, by the record and its own bench file; empty where they do not tell."""
+    recorded = None if origin is None else _recorded(bench, taken, origin, readings)
+    if origin is None or recorded is None:
+        return {}
+    meters = recorded.instruments.voltmeters
+    if not all(origin.instruments.get(meter.name) for meter in meters):
+        return {}
+    return {
+        channel: instrument_name(
+            origin.instruments[m.name], origin.serials.get(m.name, ""), m.resource, recorded.name
+        )
+        for m in meters
+        for channel in m.channels
+    }
+
+
+def _recorded(bench: BenchFile, taken: BenchTaken, origin: Origin, readings: str) -> BenchFile | None:
+    """Return the bench file of the record: one that was asked for in its place may have the meters otherwise."""
+    if taken.sha256 == origin.bench.sha256:
+        return bench
+    path = origin.bench_file(Path(readings))
+    try:
+        return None if path is None else load_recorded_bench(path)
+    except FileMistakes:
+        return None
+
+
+def learned_meters(entry: MetersEntry) -> LearnedMeters:
+    """Return the section of a learned file as a calibration takes it."""
+    gain, zero = (
+        LearnedDifferences(np.array(one.values), np.array(one.covariance), entry.group)
+        for one in (entry.gain, entry.offset_v)
+    )
+    return LearnedMeters(entry.meters, entry.day, gain, zero)
+
+
+SIMULATED: Final = "the sizes of learned file {bench} come from simulated runs"
+
+
+@dataclass(frozen=True)
+class LearnedTaken:
+    """What an evaluation takes of a learned file, with notes; nothing where the file does not count for it.
+
+    `name` says which differences of meters it is that `meters` hold.
+    """
+
+    known: KnownStand | None = None
+    effects: tuple[AppliedEffect, ...] = ()
+    own: tuple[Effect, ...] = ()
+    notes: tuple[str, ...] = ()
+    meters: KnownMeters | None = None
+    name: str = ""
+
+
+NOTHING_LEARNED: Final = LearnedTaken()
+
+
+def take_learned(
+    file: LearnedFile | None,
+    day: datetime.date,
+    unit: str,
+    *,
+    head: str = "",
+    hashes: tuple[str, ...] = (),
+    simulated: bool | None = None,
+) -> LearnedTaken:
+    """Return what counts of a file for readings of a day in a unit, of a record with this head and these hashes.
+
+    `simulated` says whether the readings are, None where nobody does or there are none.
+    """
+    if file is None:
+        return NOTHING_LEARNED
+    told = f"what was learned of bench {file.bench} from {len(file.runs)} runs ({file.made})"
+    if file.has(head, hashes):
+        why = "these readings are among them, and would count twice"
+    elif file.expired(day):
+        why = f"it expired on {file.expires}; learn anew"
+    elif simulated is False and file.simulated:
+        why = "it comes from simulated runs, and these readings do not"
+    else:
+        notes = [f"{told} stands in place of the stated limits of the stand"]
+        if simulated is None and file.simulated:
+            notes.append(SIMULATED.format(bench=file.bench))
+        if simulated and not file.simulated:
+            notes.append("these readings are simulated, what was learned is not")
+        known = _known(file, unit)
+        if known.noise is None:
+            notes.append(
+                f"the learned noise is in {file.noise.unit}, these readings in {unit}: it does not count"
+            )
+        return LearnedTaken(known, file.applied_effects(), file.own_effects(), tuple(notes))
+    return LearnedTaken(notes=(f"{told} is not used: {why}; the stated limits count",))
+
+
+def learned_for_run(bench: BenchFile, path: Path, created: str, *, simulated: bool | None) -> LearnedTaken:
+    """Return what counts for a run created at a civil time, by its bench file and where that lies.
+
+    A run's own copies say the same whenever it is looked at. Raises `FileMistakes`.
+    """
+    file = BenchTaken(bench, str(path), "", "").learned()
+    return take_learned(file, datetime.datetime.fromisoformat(created).date(), VOLTS, simulated=simulated)
+
+
+def with_effects(model: ForwardModel, effects: tuple[AppliedEffect, ...]) -> ForwardModel:
+    """Return a model with learned effects of the bench beside its own; one that it has stays as it has it."""
+    there = {applied.effect.name for applied in model.effects}
+    further = tuple(applied for applied in effects if applied.effect.name not in there)
+    return replace(model, effects=(*model.effects, *further)) if further else model
+
+
+def with_meters(
+    found: LearnedTaken, file: LearnedFile, bench: BenchFile, day: datetime.date, meters: Mapping[str, str]
+) -> LearnedTaken:
+    """Return what was taken with the differences of a bench's voltmeters, by who read each channel."""
+    if file.meters is None:
+        return found
+    if not meters:
+        note = "how the voltmeters differ was learned, but not who read here: it does not count"
+        return replace(found, notes=(*found.notes, note))
+    names = [meters[meter.channels[0]] for meter in bench.instruments.voltmeters]
+    known, notes = known_meters(bench, day, names, learned_meters(file.meters))
+    return replace(found, meters=known, notes=(*found.notes, *notes), name=f"differences learned {file.made}")
+
+
+def _known(file: LearnedFile, unit: str) -> KnownStand:
+    stand, noise = file.stand, file.noise
+    sizes = None
+    if noise.unit == unit:
+        channels = (noise.x, noise.y, noise.z)
+        sizes = KnownNoise(
+            np.array([one.size for one in channels]), np.array([one.dof for one in channels]),
+            noise.setting.size, noise.setting.dof,
+        )  # fmt: skip
+    return KnownStand(
+        tuple((mean.angle, mean.installation) for mean in stand.means),
+        np.array([mean.value for mean in stand.means]),
+        stand.covariance,
+        dict(stand.remount.items()),
+        sizes,
+    )

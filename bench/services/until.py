@@ -73,12 +73,11 @@ from bench.run.sentences import size_in_words
 from bench.services.bench_selection import bench_path
 from bench.services.calibration import CalibrationResult, calibration_of
 from bench.services.errors import Refused, named, quantity
-from bench.services.learned import NOTHING, LearnedTaken, learned_for_run, with_effects
 from bench.services.points import delta_g_of, stand_of
 from bench.services.requests.planning import Check
 from bench.services.requests.shared import runs_folder
 from bench.services.source import Request, load_sources
-from bench.services.traceability import remarks
+from bench.services.traceability import NOTHING_LEARNED, LearnedTaken, learned_for_run, remarks, with_effects
 from drivers.clock import utc_now
 
 COMBINED: Final = "combined:"
@@ -155,7 +154,7 @@ def _asked(size: float) -> float:
 
 
 def chooser_of(
-    plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING
+    plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING_LEARNED
 ) -> Chooser:
     """Return what chooses for these goals, with what was `learned` of the bench as a calibration takes it.
 
@@ -331,7 +330,7 @@ def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequenc
 
 
 def outlook_until(
-    plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING
+    plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING_LEARNED
 ) -> TimeOutlook:
     """Return how long a run for these goals will take at the noise that the bench file states, or was learned."""
     found = time_outlook(chooser_of(plan, bench, texts, learned))

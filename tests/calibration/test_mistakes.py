@@ -1,13 +1,27 @@
 """Mistakes in a table: each is named with its cause, none becomes a coefficient."""
 
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from bench.calibration import CalibrationError, calibrate
 from bench.calibration.calibrate import ESTIMATORS
+from bench.calibration.mistakes import refuse_mixed_units, sheet_of, wrong_unit
+from bench.config.bench_file.file import load_bench
+from bench.config.procedure.load import load_procedure
+from bench.config.shipped import find_bench, find_procedure
+from bench.diagnosis.mistakes.search import find_mistakes
 from bench.model import ForwardModel, Installation
-from bench.readings.csv import write_csv
-from bench.readings.table import make_readings
+from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.planning.settings import MOST_MOUNTINGS, Cost, fitted, outlook, settings_of
+from bench.readings.csv import read_csv, write_csv
+from bench.readings.table import make_readings, stacked
 from tests.support.honest_runs import MODEL, free_forces
 from tests.support.paper_bench import STAND_U, TRUTH, U0, K, design, simulate, specific_force
 from tests.support.results import calibration_json
@@ -177,3 +191,209 @@ def test_least_squares_weighs_all_alike_and_is_honest():
     # a chi-square of 100 is out of these bounds once in 10^5
     assert np.all((rms > 0.70) & (rms < 1.33)), rms.round(3)
     assert result.stand == {}
+
+
+# --- signals in another unit ----------------------------------------------------------------------
+
+
+SHEET = (-2.18, -2.14, -2.14)
+MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
+
+
+@pytest.fixture(scope="module")
+def readings():
+    """Two passes of the paper's points, with the verification points in the first."""
+    file = Path(__file__).parents[1] / "data" / "records" / "readings.csv"
+    one = read_csv(file, ("1", "2", "V"))
+    two = replace(one, pass_number=one.pass_number + 1)
+    return replace(stacked([one, two]), source="r.csv", began_s=None, block=None)
+
+
+def scaled(readings, rows=True, channels=(0, 1, 2), factor=1e3):
+    signal = readings.signal.copy()
+    mask = np.zeros(signal.shape, dtype=bool)
+    mask[np.ix_(np.flatnonzero(np.broadcast_to(rows, len(readings))), channels)] = True
+    signal[mask] *= factor
+    return replace(readings, signal=signal)
+
+
+CASES = {
+    "all signals seem to be in mV": ({}, {}),
+    "all signals seem to be in µV": ({"factor": 1e6}, {}),
+    "the signals of channel y seem to be in mV": ({"channels": (1,)}, {}),
+    "the signals of channel x, z seem to be in another unit": ({"channels": (0, 2), "factor": 1e-3}, {}),
+    "all signals of pass 2 seem to be in mV": ({}, {"pass_number": 2}),
+    "the signals of channel z of pass 2 seem to be in mV": ({"channels": (2,)}, {"pass_number": 2}),
+    "all signals of installation 2 seem to be in mV": ({}, {"installation": "2"}),
+    "the signals of channel y of installation 1 seem to be in mV": (
+        {"channels": (1,)},
+        {"installation": "1"},
+    ),
+}
+
+
+@pytest.mark.parametrize("words", CASES)
+@pytest.mark.parametrize("sheet", [SHEET, None])
+def test_another_unit_is_named_and_put_right(readings, words, sheet):
+    how, where = CASES[words]
+    rows = np.ones(len(readings), dtype=bool)
+    for name, value in where.items():
+        rows &= getattr(readings, name) == value
+    spoilt = scaled(readings, rows, **how)
+    found = wrong_unit(spoilt, MODEL, sheet)
+    if sheet is None and (not where and len(how.get("channels", (0, 1, 2))) == 3):
+        assert found is None  # only the data sheet shows it
+        return
+    if sheet is None and how.get("factor") == 1e-3:
+        words = "the signals of channel y seem to be in mV"  # the smallest are taken to be right
+    assert found is not None
+    assert found.words.startswith(words)
+    corrected = found.corrected(spoilt).signal
+    factor = 1e-3 if sheet is None and how.get("factor") == 1e-3 else 1.0
+    np.testing.assert_allclose(corrected, readings.signal * factor, rtol=1e-12)
+
+
+@pytest.mark.parametrize("words", [w for w in CASES if not w.startswith("all signals seem")])
+def test_a_calibration_refuses_signals_in_two_units_and_a_diagnosis_names_them(readings, words):
+    how, where = CASES[words]
+    rows = np.ones(len(readings), dtype=bool)
+    for name, value in where.items():
+        rows &= getattr(readings, name) == value
+    spoilt = scaled(readings, rows, **how)
+    with pytest.raises(CalibrationError, match=rf"r\.csv: {words}.*write them in one unit"):
+        refuse_mixed_units(spoilt, MODEL, SHEET)
+    first, *_ = find_mistakes(spoilt, MODEL, {}, np.array(SHEET)).mistakes
+    assert first.name == "wrong_unit"
+    assert first.words.startswith(words)
+    assert first.pass_number == where.get("pass_number")
+    assert first.evidence.after < 1e-2 * first.evidence.before or how.get("factor") == 1e-3
+
+
+def test_the_p_of_a_wrong_unit_comes_of_its_odds(readings):
+    """More readings make longer odds; a marker would be the same for all."""
+    few = readings.select(readings.point <= 3)
+    spoilt = scaled(few, channels=(1,), factor=1e-3)
+    (unit,) = find_mistakes(spoilt, MODEL, {}, np.array(SHEET)).mistakes
+    more = find_mistakes(scaled(readings, channels=(1,), factor=1e-3), MODEL, {}, np.array(SHEET)).mistakes[0]
+    assert unit.name == "wrong_unit"
+    assert unit.p > more.p > sys.float_info.min
+
+
+def test_where_the_units_are_right_nothing_is_said(readings):
+    """Blocks with scale factors drawn within a factor of 1.8 of the sheet, biases to 2 g, one axis reversed."""
+    draw = np.random.default_rng(20261123)
+    assert wrong_unit(readings, MODEL, SHEET) is None
+    for _ in range(50):
+        scale = np.exp(draw.uniform(-0.58, 0.58, 3)) * draw.choice((1.0, -1.0), 3)
+        other = replace(readings, signal=readings.signal * scale + draw.uniform(-4.0, 4.0, 3))
+        assert wrong_unit(other, MODEL, SHEET) is None
+        assert wrong_unit(other, MODEL, None) is None
+
+
+def test_one_position_says_nothing_of_units(readings):
+    few = readings.select((readings.point == 1) & (readings.installation == "1"))
+    assert len(few) == 2
+    assert wrong_unit(scaled(few), MODEL, SHEET) is None
+
+
+def test_what_a_data_sheet_says_in_each_unit():
+    assert sheet_of("V", SHEET) == SHEET
+    assert sheet_of("g", SHEET) == (1.0, 1.0, 1.0)
+    assert sheet_of("counts", SHEET) is None
+
+
+# --- what an error says to do ---------------------------------------------------------------------
+
+
+BENCH = load_bench(find_bench("paper-stand"))
+OF_BENCH = ForwardModel(BENCH.installation_models())
+
+
+def looked_at(procedure, verified=True):
+    plan = load_procedure(find_procedure(procedure)).plan
+    settings = settings_of(plan)
+    return outlook(
+        settings if verified else fitted(settings), OF_BENCH, BENCH.simulated_block(), Cost.of_plan(plan)
+    )
+
+
+@pytest.mark.parametrize(
+    ("procedure", "rank", "unknowns", "left"),
+    [
+        ("paper", 16, 20, 1),
+        ("calibration", 16, 20, 1),
+        ("turn-24", 16, 20, 1),
+        ("return", 20, 24, 1),
+        ("remount-180", 24, 28, 1),
+        ("remount-90", 25, 28, 0),
+    ],
+)
+def test_three_turns_stay_open_always_and_the_third_mounting_angle_until_another_axis_lies_along_the_shaft(
+    procedure, rank, unknowns, left
+):
+    found = looked_at(procedure)
+    assert (found.found.rank, found.found.columns) == (rank, unknowns)
+    assert found.turns == ["x", "y", "z"]
+    assert len(found.open) == left
+    assert bool(found.remedies) == bool(left)
+
+
+def test_the_cheapest_remedy_costs_no_reading_where_there_are_verification_points():
+    with_points, without = looked_at("paper"), looked_at("paper", verified=False)
+    assert with_points.remedies[0].text.startswith("let the verification points join the fit")
+    assert with_points.remedies[0].cost_s == 0.0
+    first = without.remedies[0]
+    assert first.text == "four verification points (installation V) that join the fit by |a| = 1 g"
+    # a mounting of 20 min; four settings of 2 min, 10 s settling and 10 samples of 0.41 s
+    assert first.cost_s == pytest.approx(1200 + 4 * (120 + 10 + 4.1))
+    texts = [remedy.text for remedy in without.remedies]
+    assert any("'remount-90'" in text for text in texts)
+    assert any(text.startswith("one pass in installation 3 (axes [y, z, x]") for text in texts)
+    # what turns the block about the platform's normal by half a turn, or repeats a mounting, shows nothing new
+    assert not any("180" in text or "return" in text for text in texts)
+    assert [r.cost_s for r in without.remedies] == sorted(r.cost_s for r in without.remedies)
+
+
+def test_of_very_many_mountings_the_first_of_each_installation_are_looked_at():
+    many = [
+        s._replace(mount=s.mount._replace(series=visit))
+        for visit in range(1, MOST_MOUNTINGS)
+        for s in fitted(settings_of(load_procedure(find_procedure("quick")).plan))
+    ]
+    found = outlook(many, OF_BENCH, BENCH.simulated_block(), Cost(120.0, 1200.0))
+    assert found.found.columns == 20
+
+
+def test_check_says_it_before_the_run_and_in_json(bench):
+    status, out, _ = bench("check", "calibration")
+    assert status == 0
+    told = [line for line in out.splitlines() if "leaves open" in line or "shown by" in line]
+    assert told[0].startswith(
+        "leaves open: alpha5[1], alpha5[2] as (1, 1): goes into coefficients without a trace"
+    )
+    assert told[1].startswith(
+        "would be shown by: let the verification points join the fit by |a| = 1 g (no further"
+    )
+    assert "common turn of the block's axes (about x, y, z)" in told[2]
+    found = json.loads(bench("check", "calibration", "--json", "-")[1])["observability"]
+    assert (found["rank"], found["unknowns"]) == (16, 20)
+    assert {d["kind"] for d in found["directions"]} == {"turn", "mixed"}
+    assert found["remedies"][0]["cost_s"] == 0.0
+    assert {"Kxx", "alpha1[1]"} <= set(found["determined"])
+
+
+def test_no_observability_is_told_of_what_calibrates_nothing(bench):
+    assert json.loads(bench("check", "stability", "--json", "-")[1])["observability"] is None
+    assert "leaves open:" not in bench("check", "stability")[1]
+
+
+def test_a_setting_of_a_plan_costs_its_turn_its_settling_and_its_reading():
+    for name in ("paper", "quick", "temperature", "stability"):
+        cost = Cost.of_plan(load_procedure(find_procedure(name)).plan)
+        reading = {"quick": 5 * 0.41, "stability": 4.1}.get(name, 4.1)
+        settle = {"quick": 5.0, "stability": 30.0}.get(name, 10.0)
+        assert cost.setting_s == pytest.approx(120 + settle + reading)
+    assert Cost(100.0, 1000.0, 10.0).settings_within(1510.0, 1) == 5
+    assert Cost(100.0, 1000.0, 10.0).settings_within(1509.0, 1) == 4
+    assert Cost(100.0, 1000.0).settings_within(0.0, 1) == 0
+    assert np.isclose(Cost(100.0, 1000.0, 10.0).total_s(3, 2), 2310.0)

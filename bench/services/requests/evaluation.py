@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final, Protocol
 
 from bench.base.requests import Option
 from bench.services.requests.shared import (
@@ -18,15 +18,17 @@ from bench.services.requests.shared import (
     RuleField,
 )
 
-if TYPE_CHECKING:
-    from typing import TypeAlias
 
-    from bench.services.calibration import CalibrationResult
+class Calibrated(Protocol):
+    """The result of a calibration, at hand."""
 
-    Given: TypeAlias = str | Path | CalibrationResult | None
-    """Coefficients of another day: a result of `bench calibrate --json` by path, or one at hand."""
-else:
-    Given = Any
+    @property
+    def calibration(self) -> Any:
+        """What was found."""
+
+
+Given = str | Path | Calibrated | None
+"""Coefficients of another day: a result of `bench calibrate --json` by path, or one at hand."""
 
 ESTIMATORS_TOLD: Final = "The estimators."
 """Help text that the command line replaces by the names there are."""
