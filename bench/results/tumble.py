@@ -173,7 +173,7 @@ def _left_out(view: TumbleView) -> Iterator[str]:
         for term, moved in by_term.items():
             if moved:
                 said = "not fitted, but in u," if view.combined and term in OF_BLOCK else "taken as zero"
-                yield f"{term} {said} in channel {channel}: 1 µg/g² of {term} moves {_moved(moved)}"
+                yield f"{said} in channel {channel}: 1 µg/g² of {term} moves {_moved(moved)}"
 
 
 def _moved(moved: Mapping[str, float]) -> str:
