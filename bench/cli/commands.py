@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from keyword import iskeyword
 from typing import Any, Final
@@ -77,6 +77,10 @@ HEADINGS: Final = {
 """Commands before which a heading stands in the help: it holds up to the next."""
 
 
+COMPLETED_BY: Final[list[Callable[[Any], Any]]] = []
+"""What gives a command the options that all of its kind have; `bench.cli.options`, which commands import, adds it."""
+
+
 class Commands(TyperGroup):
     """The group of all commands; each stands in the module of its name, or the one that `MODULES` says."""
 
@@ -108,15 +112,14 @@ class Commands(TyperGroup):
 
 def load_command(name: str) -> Any:
     """Import the module of a command; return what the library makes of its function, or of its group's."""
-    from bench.cli.options import app, with_own_parts
-
     word = name.replace("-", "_") + "_" * iskeyword(name)
     module = import_module(f"bench.cli.{MODULES.get(name, word)}")
     if hasattr(module, "GROUP"):
         group = get_group(module.GROUP)
         for command in group.commands.values():
-            with_own_parts(command)
+            COMPLETED_BY[0](command)
         return group
-    mine = {one.callback: one for one in app.registered_commands}
+    mine = {one.callback: one for one in module.app.registered_commands}
     info = mine[getattr(module, word)]
-    return with_own_parts(get_command_from_info(info, pretty_exceptions_short=True, rich_markup_mode=None))
+    command = get_command_from_info(info, pretty_exceptions_short=True, rich_markup_mode=None)
+    return COMPLETED_BY[0](command)

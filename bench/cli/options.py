@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperCommand, TyperOption
 
 from bench.cli import completing
-from bench.cli.commands import Commands
+from bench.cli.commands import COMPLETED_BY, Commands
 from bench.config.devices import FOLDERS
 from bench.services.requests.evaluation import ESTIMATORS_TOLD
 from bench.services.requests.planning import ESTIMATORS_IN_A_BUDGET
@@ -119,6 +119,8 @@ def _restore(before: str | None, typed: Token[tuple[str, ...]]) -> None:
     if before is not None:
         os.environ[FOLDERS] = before
 
+
+COMPLETED_BY.append(with_own_parts)
 
 app = typer.Typer(
     name="bench",
