@@ -29,8 +29,8 @@ from bench.run.events import Event
 from bench.run.folder import Run
 from bench.run.person import ANSWERS, LeftAnswer, OpenPrompt, Who, leave_answer, understood_answer
 from bench.run.record import parse_line, read_history
-from benchmarks.campaign import arguments
-from benchmarks.kill_campaign import PROGRAM, differences
+from benchmarks.campaign import PROGRAM, arguments
+from benchmarks.kill_campaign import differences
 from drivers.angles import format_dms, parse_angle
 from drivers.person import Prompt, PromptKind
 

@@ -20,7 +20,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any, Final, NamedTuple, NoReturn, TypeVar
@@ -105,13 +104,10 @@ def spread(
         yield from pool.map(work, tasks, chunksize=chunk)
 
 
-def columns(
-    work: Callable[..., Sequence[Any]], count: int, workers: int, size: int = 100, /, **fixed: Any
-) -> list[Any]:
-    """Return the columns of `work(range, …)` over so many numbered runs, each put together over all chunks."""
+def parts_of(work: Callable[[range], Result], count: int, workers: int, size: int = 100) -> list[Result]:
+    """Return what work makes of so many numbered runs, chunk by chunk: what a run gives follows from its number."""
     chunks = [range(first, min(first + size, count)) for first in range(0, count, size)]
-    parts = list(spread(partial(work, **fixed), chunks, workers, 1))
-    return [np.concatenate(column) for column in zip(*parts, strict=True)]
+    return list(spread(work, chunks, workers, 1))
 
 
 class Cost(NamedTuple):

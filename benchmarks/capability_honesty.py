@@ -13,14 +13,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy import stats
 
-from bench.base.arrays import Mask
 from bench.history.capability import YEAR, capability
 from bench.history.equivalence import Measured
 from bench.stats.crossed_effects import EXCESS, Crossing, fit
 from bench.stats.unit_histories import Spread
-from benchmarks.campaign import arguments
+from benchmarks.campaign import Share, arguments
 
 CASES = (
     (30, 5, 3, (1.0, 0.0, 0.0, 0.5)), (30, 5, 3, (0.0, 0.0, 0.0, 0.5)), (30, 5, 3, (1.0, 2.0, 0.0, 0.5)),
@@ -73,18 +71,12 @@ def table(runs: int, seed: int) -> Iterator[str]:
             )
         lower = np.array([one.scatter_least <= sizes[0] for one in spreads])
         upper = np.array([one.scatter_most >= sizes[0] for one in spreads])
+        shares = f"{Share.true(lower).percent} | {Share.true(upper).percent}"
+        scatter, shown = np.mean([one.scatter for one in spreads]), np.mean([one.shown for one in spreads])
         yield (
-            f"| {units} × {each} | {sizes[0]:g} | {sizes[1]:g} | {sizes[2]:g} | {held(lower)} | {held(upper)} | "
-            f"{np.mean([one.scatter for one in spreads]):.2f} | {np.mean(before):.2f} | "
-            f"{100 * np.mean([one.shown for one in spreads]):.0f} % |"
+            f"| {units} × {each} | {sizes[0]:g} | {sizes[1]:g} | {sizes[2]:g} | {shares} | {scatter:.2f} | "
+            f"{np.mean(before):.2f} | {100 * shown:.0f} % |"
         )
-
-
-def held(inside: Mask) -> str:
-    """Return the share that is, with its interval."""
-    tested = stats.binomtest(int(inside.sum()), len(inside))
-    low, high = tested.proportion_ci(method="wilson")
-    return f"{100 * tested.statistic:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
 
 
 def main() -> None:

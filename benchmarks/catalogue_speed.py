@@ -10,18 +10,15 @@ computer. A question is timed from opening the catalogue to its rows; the median
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import resource
 import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-from benchmarks.campaign import arguments
+from benchmarks.campaign import Cost, arguments, cost_of
 
 QUESTIONS: Final[tuple[tuple[str, list[str], str], ...]] = (
     ("ask", ["meter=MY540012", "after=2017-05-03"], "units"), ("ask", ["certificate=2017-40012"], "runs"),
@@ -75,30 +72,6 @@ def questioned(where: str) -> list[tuple[str, int, float, float]]:
     return told
 
 
-def measured(work: Callable[..., Any], *given: Any) -> dict[str, Any]:
-    """Do work in this very process; return what came of it, times and memory."""
-    begun = time.perf_counter()
-    result = work(*given)
-    wall = time.perf_counter() - begun
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return {
-        "result": result,
-        "wall_s": wall,
-        "cpu_s": sum(one.ru_utime + one.ru_stime for one in used),
-        "peak_mb": max(one.ru_maxrss for one in used) / 1e3,
-        "load": os.getloadavg()[0],
-    }
-
-
-def apart(work: Callable[..., Any], *given: Any) -> dict[str, Any]:
-    """Do work in a process of its own, which may start others."""
-    from concurrent.futures import ProcessPoolExecutor
-
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        found: dict[str, Any] = pool.submit(measured, work, *given).result()
-        return found
-
-
 def main() -> int:
     """Print a table."""
     given = arguments(__doc__, folder={"positional": True, "type": Path}, catalogue="", hold_back=100)
@@ -111,22 +84,22 @@ def main() -> int:
         try:
             for path in held:
                 path.rename(aside / path.name)
-            _print("first sync", apart(synced, where, str(given.folder)))
+            _print("first sync", cost_of(synced, where, str(given.folder)))
         finally:
             for path in held:
                 (aside / path.name).rename(path)
             aside.rmdir()
-        _print("second sync", apart(synced, where, str(given.folder)))
-        found = apart(questioned, where)
-        print(f"questions: peak {found['peak_mb']:.0f} MB, load {found['load']:.1f}")
-        for words, rows, median, slowest in found["result"]:
+        _print("second sync", cost_of(synced, where, str(given.folder)))
+        found = cost_of(questioned, where)
+        print(f"questions: peak {found.peak_mb:.0f} MB, load {os.getloadavg()[0]:.1f}")
+        for words, rows, median, slowest in found.result:
             print(f"  {words:55} {rows:7} rows  {median:6.3f} s  {slowest:6.3f} s")
     return 0
 
 
-def _print(what: str, found: dict[str, Any]) -> None:
-    sizes = f"{found['wall_s']:.1f} s, processor {found['cpu_s']:.1f} s, peak {found['peak_mb']:.0f} MB"
-    print(f"{what}: {sizes}, load {found['load']:.1f}; {found['result']}", flush=True)
+def _print(what: str, found: Cost) -> None:
+    sizes = f"{found.wall_s:.1f} s, processor {found.cpu_s:.1f} s, peak {found.peak_mb:.0f} MB"
+    print(f"{what}: {sizes}, load {os.getloadavg()[0]:.1f}; {found.result}", flush=True)
 
 
 if __name__ == "__main__":

@@ -53,12 +53,11 @@ from bench.run.person import OpenPrompt
 from bench.run.record import Record
 from bench.services.execution import taken_up
 from benchmarks.answering_campaign import answer_to
-from benchmarks.campaign import arguments
+from benchmarks.campaign import EMPTY_FIGURE, ROOT, arguments
 from sim.bench import SimulatedBench
 from sim.world.clock import ScaledClock
 from tests.support.panel_client import Browser
 
-ROOT: Final = Path(__file__).resolve().parents[1]
 METERS: Final = ("voltmeter.x", "voltmeter.y", "voltmeter.z")
 PROCEDURE: Final = """\
 procedure: short
@@ -68,8 +67,6 @@ steps:
   - installation: {label: 1, steps: [turn: {angles: [0 deg, 90 deg, 180 deg]}]}
   - installation: {label: 2, steps: [turn: {angles: [0 deg, 90 deg, 180 deg]}]}
 """
-EMPTY_FIGURE: Final = '<svg viewBox="0 0 1 1"></svg>'
-"""In place of the figures of pages, which cost more than all else."""
 SPEED: Final = 1000.0
 """The meters' clock runs so many times faster: no reading is waited for."""
 STOPPED: Final = 2

@@ -19,11 +19,8 @@ import random
 import sys
 import tempfile
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 from unittest import mock
@@ -35,8 +32,8 @@ from bench.base.arrays import ARCSEC
 from bench.config.bench_file.file import load_bench
 from bench.run.commission.course import CABLE
 from bench.services.instruments import PAGE, Setting, commission
-from benchmarks.campaign import arguments
-from benchmarks.fault_campaign import ROOT, exact
+from benchmarks.campaign import ROOT, amiss, arguments, by_kind, spread
+from benchmarks.fault_campaign import exact
 from drivers.interfaces import BenchError
 from sim.bench import SimulatedBench
 from sim.wires.faults import OF_INSTRUMENT, Fault, FaultKind
@@ -261,20 +258,14 @@ def _judged(trial: Trial, result: Mapping[str, Any], outcome: Outcome) -> list[s
 
 def table(outcomes: Sequence[Outcome]) -> str:
     """Return the table by kind of fault."""
-    by_kind: dict[str, list[Outcome]] = defaultdict(list)
-    for outcome in outcomes:
-        by_kind[outcome.trial.kind].append(outcome)
-        by_kind["all"].append(outcome)
-    headings = ("evenings", "named", "no trace", "violations")
-    lines = [f"{'fault':14}" + "".join(f"{heading:>11}" for heading in headings) + f"{'longest':>11}"]
-    for kind in (*map(str, FaultKind), *HEAD_FAULTS, "all"):
-        rows = by_kind.get(kind, [])
-        if rows:
-            named = sum(row.traced for row in rows)
-            numbers = (len(rows), named, len(rows) - named, sum(len(row.violations) for row in rows))
-            longest_s = max(row.time_s for row in rows)
-            lines.append(f"{kind:14}" + "".join(f"{number:11}" for number in numbers) + f"{longest_s:9.1f} s")
-    return "\n".join(lines)
+    counts: dict[str, Callable[[Sequence[Outcome]], object]] = {
+        "evenings": len,
+        "named": lambda rows: sum(row.traced for row in rows),
+        "no trace": lambda rows: sum(not row.traced for row in rows),
+        "violations": lambda rows: sum(len(row.violations) for row in rows),
+        "longest, s": lambda rows: f"{max(row.time_s for row in rows):.1f}",
+    }
+    return by_kind(outcomes, (*map(str, FaultKind), *HEAD_FAULTS), lambda row: row.trial.kind, counts)
 
 
 def violations(outcomes: Sequence[Outcome]) -> list[str]:
@@ -288,7 +279,7 @@ def violations(outcomes: Sequence[Outcome]) -> list[str]:
 
 def main() -> int:
     given = arguments(
-        __doc__, seed=1, jobs=(2, "processes"), limit=(LIMIT_S, "how long an evening may take, s"),
+        __doc__, seed=1, workers=(2, "processes"), limit=(LIMIT_S, "how long an evening may take, s"),
         bench={"nargs": "*", "help": "shipped bench files by name (default: all)"},
     )  # fmt: skip
     names = given.bench or sorted(file.stem for file in (ROOT / "config").glob("*.yaml"))
@@ -296,16 +287,12 @@ def main() -> int:
         folder = Path(temporary)
         trials = [trial for one in benches(folder, names) for trial in trials_of(one, given.seed)]
         begun_s = time.monotonic()
-        with ProcessPoolExecutor(given.jobs, mp_context=get_context("spawn")) as pool:
-            work = functools.partial(carry_out, folder=folder, limit_s=given.limit)
-            outcomes = list(pool.map(work, trials, chunksize=4))
+        work = functools.partial(carry_out, folder=folder, limit_s=given.limit)
+        outcomes = list(spread(work, trials, given.workers))
         took_s = time.monotonic() - begun_s
     print(table(outcomes))
     print(f"{len(outcomes)} evenings on {len(names)} benches in {took_s:.0f} s, seed {given.seed}")
-    found = violations(outcomes)
-    for text in found:
-        print(f"VIOLATION {text}")
-    return 1 if found else 0
+    return amiss(violations(outcomes))
 
 
 if __name__ == "__main__":

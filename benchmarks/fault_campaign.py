@@ -15,17 +15,13 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import functools
-import io
 import random
 import sys
 import tempfile
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 from unittest import mock
@@ -34,16 +30,13 @@ import numpy as np
 import yaml
 
 import bench.run.assembly.served
-from bench.cli.app import main as bench_command
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.model import Conditions, ForwardModel, stand_errors
 from bench.run.folder import Run
-from benchmarks.campaign import arguments
+from benchmarks.campaign import ROOT, amiss, arguments, by_kind, command, spread
 from sim.bench import SimulatedBench
 from sim.wires.faults import OF_INSTRUMENT, Fault, FaultKind, FaultyInstrument
 from sim.wires.session import ServedInstrument, WireFault
-
-ROOT = Path(__file__).resolve().parents[1]
 
 TIMEOUT: Final = "0.2 s"
 LIMIT_S: Final = 6.0
@@ -141,7 +134,7 @@ def stands(folder: Path, names: Sequence[str], timeout: str = TIMEOUT) -> list[S
         on_bus = tuple(n for meter in data["instruments"]["voltmeters"] for n in _on_bus(meter))
         bare = Stand(name, bench_file, procedure, {}, {}, on_bus)
         with watched(()) as watch:
-            status, said, _ = command(run_arguments(bare, folder, f"{name}-undisturbed"))
+            status, _, said, _ = command(*run_arguments(bare, folder, f"{name}-undisturbed"))
         if status != 0:
             raise RuntimeError(f"{name}: the run without faults ended with {status}: {said}")
         exchanges = {w.name: w.exchanges for w in watch.wires}
@@ -238,25 +231,12 @@ def watched(faults: Sequence[Fault]) -> Iterator[Watch]:
 # --- a trial ----------------------------------------------------------------------------------------
 
 
-def command(arguments: list[str]) -> tuple[int, str, float]:
-    """Run a command; return exit status, standard error and how long it took, s."""
-    out, err = io.StringIO(), io.StringIO()
-    begun_s = time.monotonic()
-    status: Any = None
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            bench_command(arguments)
-        except SystemExit as ended:
-            status = ended.code
-    return status, err.getvalue(), time.monotonic() - begun_s
-
-
 def carry_out(trial: Trial, folder: Path, limit_s: float = LIMIT_S) -> Outcome:
     """Run, judge, and where the run stopped, resume and judge again."""
     outcome = Outcome(trial)
     name = f"trial-{trial.name}"
     with watched(trial.faults) as watch:
-        status, outcome.said, outcome.time_s = command(run_arguments(trial.stand, folder, name))
+        status, _, outcome.said, outcome.time_s = command(*run_arguments(trial.stand, folder, name))
     outcome.struck = watch.struck
     run = Run(folder / name)
     outcome.completed = status == 0
@@ -268,7 +248,7 @@ def carry_out(trial: Trial, folder: Path, limit_s: float = LIMIT_S) -> Outcome:
     else:
         judge_stop(status, outcome)
         with watched(()):
-            status, said, _ = command(["resume", name, "--runs", str(folder)])
+            status, _, said, _ = command("resume", name, "--runs", folder)
         resumed = Run(folder / name)
         judge_record(resumed, outcome)
         judge_finished(resumed, outcome)
@@ -403,33 +383,23 @@ def guarded(trial: Trial, folder: Path, limit_s: float) -> Outcome:
 
 def table(outcomes: Sequence[Outcome]) -> str:
     """Return the table by kind of fault."""
-    by_kind: dict[str, list[Outcome]] = defaultdict(list)
-    for outcome in outcomes:
-        by_kind[str(outcome.trial.kind)].append(outcome)
-        by_kind["all"].append(outcome)
-    headings = ("runs", "faults", "struck", "completed", "stopped", "resumed", "wrong", "hangs", "other")
-    lines = [f"{'fault':14}" + "".join(f"{heading:>10}" for heading in headings) + f"{'worst':>10}"]
-    for kind in (*map(str, KINDS), "all"):
-        rows = by_kind.get(kind, [])
-        if not rows:
-            continue
-        hangs = sum(any(text.startswith("hang") for text in row.violations) for row in rows)
-        violations = sum(len(row.violations) for row in rows)
-        wrong = sum(row.wrong_values for row in rows)
-        numbers = (
-            len(rows),
-            sum(len(row.trial.faults) for row in rows),
-            sum(row.struck for row in rows),
-            sum(row.completed for row in rows),
-            sum(not row.completed for row in rows),
-            sum(row.resumed for row in rows),
-            wrong,
-            hangs,
-            violations - wrong - hangs,
-        )
-        worst_s = max(row.time_s for row in rows)
-        lines.append(f"{kind:14}" + "".join(f"{number:10}" for number in numbers) + f"{worst_s:8.2f} s")
-    return "\n".join(lines)
+
+    def hangs(row: Outcome) -> bool:
+        return any(text.startswith("hang") for text in row.violations)
+
+    counts: dict[str, Callable[[Sequence[Outcome]], object]] = {
+        "runs": len,
+        "faults": lambda rows: sum(len(row.trial.faults) for row in rows),
+        "struck": lambda rows: sum(row.struck for row in rows),
+        "completed": lambda rows: sum(row.completed for row in rows),
+        "stopped": lambda rows: sum(not row.completed for row in rows),
+        "resumed": lambda rows: sum(row.resumed for row in rows),
+        "wrong": lambda rows: sum(row.wrong_values for row in rows),
+        "hangs": lambda rows: sum(map(hangs, rows)),
+        "other": lambda rows: sum(len(row.violations) - row.wrong_values - hangs(row) for row in rows),
+        "worst, s": lambda rows: f"{max(row.time_s for row in rows):.2f}",
+    }
+    return by_kind(outcomes, map(str, KINDS), lambda row: str(row.trial.kind), counts)
 
 
 def violations(outcomes: Sequence[Outcome]) -> list[str]:
@@ -443,7 +413,7 @@ def violations(outcomes: Sequence[Outcome]) -> list[str]:
 
 def main() -> int:
     given = arguments(
-        __doc__, faults=(1200, "at least so many"), seed=1, jobs=(2, "processes"),
+        __doc__, faults=(1200, "at least so many"), seed=1, workers=(2, "processes"),
         limit=(LIMIT_S, "how long a run may take, s"),
         bench={"nargs": "*", "help": "shipped bench files by name (default: all)"},
         stops=(False, "also print why runs stopped"),
@@ -454,9 +424,8 @@ def main() -> int:
         benches = stands(folder, names)
         trials = draw(given.faults, given.seed, benches)
         begun_s = time.monotonic()
-        with ProcessPoolExecutor(given.jobs, mp_context=get_context("spawn")) as pool:
-            work = partial(guarded, folder=folder, limit_s=given.limit)
-            outcomes = list(pool.map(work, trials, chunksize=4))
+        work = partial(guarded, folder=folder, limit_s=given.limit)
+        outcomes = list(spread(work, trials, given.workers))
         took_s = time.monotonic() - begun_s
     for stand in benches:
         print(f"{stand.name}: exchanges in a run: {dict(stand.exchanges)}")
@@ -466,10 +435,7 @@ def main() -> int:
         for outcome in outcomes:
             if not outcome.completed:
                 print(f"{outcome.trial.kind}: {outcome.said.strip().splitlines()[-1]}")
-    found = violations(outcomes)
-    for text in found:
-        print(f"VIOLATION {text}")
-    return 1 if found else 0
+    return amiss(violations(outcomes))
 
 
 if __name__ == "__main__":

@@ -15,14 +15,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy import stats
 
 from bench.base.arrays import Floats
 from bench.history.comparison import SECONDS_PER_YEAR
 from bench.history.drift import history_drift
 from bench.history.equivalence import STANDARD_GRAVITY, Measured
 from bench.history.prior import join, prior_of
-from benchmarks.campaign import arguments
+from benchmarks.campaign import Share, arguments, rms_told
 
 FIRST = np.datetime64("2020-01-01", "s")
 BATCH = 500
@@ -31,18 +30,9 @@ WALKS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.0, 3.0), (0.0, 10.0))
 UNITS = (6, 12, 30)
 
 
-def rms_told(z: Floats) -> str:
-    """Return the root of the mean square with its standard error, from the squares themselves."""
-    squares = z.ravel() ** 2
-    rms = float(np.sqrt(squares.mean()))
-    return f"{rms:.3f} ± {float(squares.std(ddof=1)) / np.sqrt(len(squares)) / (2 * rms):.3f}"
-
-
 def coverage_told(z: Floats) -> str:
     """Return the share within k = 2, with its interval."""
-    inside = stats.binomtest(int(np.sum(np.abs(z) <= 2.0)), z.size)
-    low, high = inside.proportion_ci(method="wilson")
-    return f"{100 * inside.statistic:.1f} ({100 * low:.1f} to {100 * high:.1f}) %"
+    return Share.true(np.abs(z) <= 2.0).percent
 
 
 def drift(runs: int, seed: int) -> Iterator[str]:

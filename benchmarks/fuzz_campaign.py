@@ -38,10 +38,10 @@ import matplotlib
 import numpy as np
 
 from bench.base.text import visible
+from benchmarks.campaign import ROOT, arguments
 from benchmarks.fuzz_edges import MADE_AT_EDGES, python_trial
 from benchmarks.fuzz_inputs import (
     MADE,
-    ROOT,
     WEIRD,
     Case,
     spoilt_bytes,
@@ -506,10 +506,10 @@ def table(counts: dict[str, int], found: list[Violation]) -> str:
     return "\n".join(lines)
 
 
-def main(arguments: Any = None) -> int:
+def main(argv: Any = None) -> int:
     """Run the campaign."""
     given = arguments(
-        __doc__, arguments, inputs=20000, seed=1, jobs=1,
+        __doc__, argv, inputs=20000, seed=1, jobs=1,
         kinds={"nargs": "*", "choices": KINDS, "default": KINDS}, only={"metavar": "KIND:NUMBER"},
     )  # fmt: skip
     which = [(kind, number) for kind, number in inputs(given.inputs) if kind in given.kinds]

@@ -15,13 +15,13 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import yaml
 
 from bench.base.yaml_files import load_document
+from benchmarks.campaign import ROOT
 
 # --- how good inputs are spoilt --------------------------------------------------------------------------
 
@@ -180,9 +180,6 @@ def faulty_yaml(rng: random.Random, tree: Any) -> tuple[bytes, str]:
 
 
 # --- inputs ----------------------------------------------------------------------------------------------
-
-
-ROOT: Final = Path(__file__).resolve().parents[1]
 
 
 @dataclass

@@ -3,7 +3,6 @@
     python -m benchmarks.honest_uncertainty --runs 2000 --noise 1e-4 2e-5 --workers 2
     python -m benchmarks.honest_uncertainty --batch 10000 --joined 1000 --runs 0
     python -m benchmarks.honest_uncertainty --few 2000 --clean 2000 --runs 0
-    python -m benchmarks.honest_uncertainty --few 2000 --clean 2000 --runs 0
 
 For each size of the voltmeter's noise (V): the root mean square of (estimate - truth)/u for each coefficient
 by the default estimator (promised: 0.95 to 1.05) and by the closed form; how many times smaller the errors of
@@ -26,9 +25,9 @@ from __future__ import annotations
 
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields
-from pathlib import Path
+from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -37,7 +36,7 @@ from bench.calibration.batch import calibrate_batch
 from bench.calibration.components import ASKED_P
 from bench.calibration.result import COVERAGE_FACTOR
 from bench.model.geometry import COEFFICIENTS
-from benchmarks.campaign import arguments
+from benchmarks.campaign import arguments, finish, outside, parts_of
 from tests.support.honest_runs import (
     FEW,
     MODEL,
@@ -51,16 +50,7 @@ from tests.support.honest_runs import (
 )
 from tests.support.paper_bench import STAND_U, TRUTH, simulate
 
-ROOT = Path(__file__).resolve().parents[1]
-
 KYX, KZX = COEFFICIENTS.index("Kyx"), COEFFICIENTS.index("Kzx")
-CHUNK = 100
-
-
-def simulate_all(pool: ProcessPoolExecutor, seed: int, count: int, noise_v: float) -> Runs:
-    chunks = [range(first, min(first + CHUNK, count)) for first in range(0, count, CHUNK)]
-    parts = list(pool.map(run, [seed] * len(chunks), chunks, [noise_v] * len(chunks)))
-    return Runs(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Runs)})
 
 
 def show(runs: Runs) -> None:
@@ -74,14 +64,10 @@ def show(runs: Runs) -> None:
     print("lack of fit, p below: " + ", ".join(f"{q:g}: {np.mean(runs.p < q):.3f}" for q in levels))
 
 
-def outside(what: str, ratios: np.ndarray, part: float, count: int) -> list[str]:
+def off(what: str, ratios: np.ndarray, part: float, count: int) -> list[str]:
     """Say which ratios are further from 1 than promised, three standard errors of the measurement aside."""
     bound = part + 3 / np.sqrt(2 * count)
-    return [
-        f"{what} of {name} is {ratio:.3f}"
-        for name, ratio in zip(COEFFICIENTS, ratios, strict=True)
-        if abs(ratio - 1) > bound
-    ]
+    return outside(what, ratios, 1 - bound, 1 + bound)
 
 
 def batch_spread(seed: int, count: int, noise_v: float) -> list[str]:
@@ -93,27 +79,41 @@ def batch_spread(seed: int, count: int, noise_v: float) -> list[str]:
     print(f"batch of {count}, spread/u: " + ", ".join(f"{r:.3f}" for r in ratio))
     z = rms((batch.coefficients - TRUTH) / batch.u)
     print(f"batch of {count}, z:        " + ", ".join(f"{r:.3f}" for r in z))
-    return outside("spread over u", ratio, 0.04, count) + outside("z", z, 0.05, count)
+    return off("spread over u", ratio, 0.04, count) + off("z", z, 0.05, count)
 
 
-def joined(pool: ProcessPoolExecutor, seed: int, count: int, noise_v: float) -> list[str]:
+def joined(seed: int, count: int, noise_v: float, workers: int) -> list[str]:
     """Compare errors with u where free positions join, with three passes and with one."""
     broken = []
     for passes in (3, 1):
-        chunks = [range(first, min(first + CHUNK, count)) for first in range(0, count, CHUNK)]
-        n = len(chunks)
-        parts = list(pool.map(run_joined, [seed] * n, chunks, [noise_v] * n, [passes] * n))
+        parts = parts_of(partial(_joined, seed, noise_v, passes), count, workers)
         z = rms(np.concatenate(parts))
         print(
             f"{count} runs joined by 8 free positions, passes {passes}, z: "
             + ", ".join(f"{r:.3f}" for r in z)
         )
-        broken += outside(f"z, joined, passes {passes},", z, 0.05, count)
+        broken += off(f"z, joined, passes {passes},", z, 0.05, count)
     return broken
 
 
+def _joined(seed: int, noise_v: float, passes: int, numbers: range) -> np.ndarray:
+    return run_joined(seed, numbers, noise_v, passes)
+
+
+def _few(seed: int, design: str, times: float | None, numbers: range) -> Any:
+    return run_few(seed, numbers, design, times)
+
+
+def _clean(seed: int, case: str, numbers: range) -> int:
+    return components_taken(seed, numbers, case)
+
+
+def _run(seed: int, noise_v: float, numbers: range) -> Runs:
+    return run(seed, numbers, noise_v)
+
+
 def broken_promises(runs: Runs) -> list[str]:
-    broken = outside("z", runs.z, 0.05, len(runs.p))
+    broken = off("z", runs.z, 0.05, len(runs.p))
     broken += [
         f"{COEFFICIENTS[j]} is only {runs.gain[j]:.2f} times better" for j in (KYX, KZX) if runs.gain[j] < 4
     ]
@@ -125,14 +125,12 @@ def broken_promises(runs: Runs) -> list[str]:
     return broken
 
 
-def few(pool: ProcessPoolExecutor, seed: int, count: int) -> list[str]:
+def few(seed: int, count: int, workers: int) -> list[str]:
     """Calibrate few readings: coverage at noise as the program states it, and what is said at twice as much."""
     broken = []
     for design in FEW:
         for times, what in ((None, "drawn from the prior"), (2.0, "twice the stated")):
-            chunks = [range(first, min(first + CHUNK, count)) for first in range(0, count, CHUNK)]
-            n = len(chunks)
-            parts = list(pool.map(run_few, [seed] * n, chunks, [design] * n, [times] * n))
+            parts = parts_of(partial(_few, seed, design, times), count, workers)
             error, u, rests, disagrees = (
                 np.concatenate([getattr(part, name) for part in parts])
                 for name in ("error", "u", "rests", "disagrees")
@@ -154,12 +152,11 @@ def few(pool: ProcessPoolExecutor, seed: int, count: int) -> list[str]:
     return broken
 
 
-def clean(pool: ProcessPoolExecutor, seed: int, count: int) -> list[str]:
+def clean(seed: int, count: int, workers: int) -> list[str]:
     """Calibrate runs of which the readings share nothing: how often a component is taken in for nothing."""
     broken = []
     for case, what in (("stand", "alike"), ("noise", "unlike")):
-        chunks = [range(first, min(first + CHUNK, count)) for first in range(0, count, CHUNK)]
-        taken = sum(pool.map(components_taken, [seed] * len(chunks), chunks, [case] * len(chunks)))
+        taken = sum(parts_of(partial(_clean, seed, case), count, workers))
         most = int(stats.binom.ppf(0.99, count, ASKED_P))
         print(f"{taken} of {count} clean runs of {what} channels have a component, {most} at most at 1 %")
         broken += [f"{what} channels: components in {taken} of {count} clean runs"] if taken > most else []
@@ -174,30 +171,23 @@ def main() -> int:
         clean=(0, "runs of which the readings share nothing"),
     )  # fmt: skip
     broken: list[str] = []
-    with ProcessPoolExecutor(given.workers) as pool:
-        if given.few:
-            broken += few(pool, given.seed, given.few)
-        if given.clean:
-            broken += clean(pool, given.seed, given.clean)
-        for noise_v in given.noise:
-            print(f"\nnoise {noise_v:g} V")
-            if given.batch:
-                broken += [
-                    f"at {noise_v:g} V {text}" for text in batch_spread(given.seed, given.batch, noise_v)
-                ]
-            if given.joined:
-                broken += [
-                    f"at {noise_v:g} V {text}" for text in joined(pool, given.seed, given.joined, noise_v)
-                ]
-            if not given.runs:
-                continue
+    if given.few:
+        broken += few(given.seed, given.few, given.workers)
+    if given.clean:
+        broken += clean(given.seed, given.clean, given.workers)
+    for noise_v in given.noise:
+        print(f"\nnoise {noise_v:g} V")
+        found = batch_spread(given.seed, given.batch, noise_v) if given.batch else []
+        found += joined(given.seed, given.joined, noise_v, given.workers) if given.joined else []
+        if given.runs:
             start = time.perf_counter()
-            runs = simulate_all(pool, given.seed, given.runs, noise_v)
+            parts = parts_of(partial(_run, given.seed, noise_v), given.runs, given.workers)
+            whole = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Runs)}
             print(f"{given.runs} runs, noise {noise_v:g} V, {time.perf_counter() - start:.0f} s")
-            show(runs)
-            broken += [f"at {noise_v:g} V {text}" for text in broken_promises(runs)]
-    print("\n" + ("all promises hold" if not broken else "\n".join(["broken:", *broken])))
-    return 1 if broken else 0
+            show(runs := Runs(**whole))
+            found += broken_promises(runs)
+        broken += [f"at {noise_v:g} V {text}" for text in found]
+    return finish(broken, "\nall promises hold")
 
 
 if __name__ == "__main__":

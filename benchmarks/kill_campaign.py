@@ -22,9 +22,8 @@ import numpy as np
 
 from bench.run.folder import Run
 from bench.run.record import read_history
-from benchmarks.campaign import arguments
+from benchmarks.campaign import PROGRAM, arguments
 
-PROGRAM = [sys.executable, "-c", "from bench.cli.program import main; main()"]
 PROCEDURE = "quick"
 LONGEST_S = 2.2
 """A dry run of `quick` takes about as long on a machine of two cores, its start included."""

@@ -23,7 +23,6 @@ import argparse
 import time
 
 import numpy as np
-from scipy.stats import binomtest
 
 from bench.calibration.batch import Batch, calibrate_batch
 from bench.history.learned import Learned, MeterRun, meter_differences
@@ -31,7 +30,7 @@ from bench.history.learning import learn
 from bench.history.run_sums import run_fit
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2, Installation
-from benchmarks.campaign import arguments
+from benchmarks.campaign import Share, arguments
 from tests.support.learning_bench import KINDS, STATED, Bench, simulate
 from tests.support.paper_bench import ARCSEC
 
@@ -139,16 +138,14 @@ def _seen(found: Batch, k: int, turn: list[int]) -> MeterRun:
 
 def show_exchanged(asked: argparse.Namespace) -> None:
     print(f"{asked.runs} benches, {asked.exchange} runs of one block with exchanged voltmeters")
-    print(f"{'block worse by':>15}{'':10}{'rms z':>8}{'|z|<=2':>20}{'95 % (Wilson)':>18}{'u/limits':>10}")
+    print(f"{'block worse by':>15}{'':10}{'rms z':>8}{'|z| <= 2 (95 %, Wilson)':>38}{'u/limits':>10}")
     for extra in (0.0, 1.0, 5.0):
         rows = exchanged_meters(np.random.default_rng(asked.seed), asked.runs, asked.exchange, extra)
         for what, z, part in (("gain", rows[:, 0], rows[:, 1]), ("zero", rows[:, 2], rows[:, 3])):
             good = int(np.sum(np.abs(z) <= 2))
-            low, high = binomtest(good, len(z)).proportion_ci(method="wilson")
-            share = f"{good} of {len(z)} = {good / len(z):.3f}"
+            share = Share(good, len(z))
             print(
-                f"{extra:15g}{what:>10}{np.sqrt(np.mean(z**2)):8.3f}{share:>20}"
-                f"{f'{low:.3f} to {high:.3f}':>18}{np.median(part):10.3f}",
+                f"{extra:15g}{what:>10}{np.sqrt(np.mean(z**2)):8.3f}{share!s:>38}{np.median(part):10.3f}",
                 flush=True,
             )
 
@@ -207,8 +204,7 @@ def show(
         ("u <= 10 %: within 20 %", within, len(sharp)),
         ("others: |z| <= 2", less, len(other)),
     ):
-        low, high = binomtest(good, of).proportion_ci(method="wilson")
-        print(f"{what:24} {good} of {of} = {good / of:.4f} ({low:.4f} to {high:.4f})")
+        print(f"{what:24} {Share(good, of)}")
     print(f"{'size':28}{'n':>6}{'rms z':>8}{'|z|<=2':>8}{'median u/size':>15}")
     for name in dict.fromkeys(row[0] for row in rows):
         own = np.array([row[1:] for row in rows if row[0] == name])

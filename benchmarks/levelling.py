@@ -29,7 +29,7 @@ from bench.readings.corrected import Seen, with_levels
 from bench.readings.table import make_readings
 from bench.run.instruments import Instruments
 from bench.run.workbench import Levelling
-from benchmarks.campaign import arguments
+from benchmarks.campaign import arguments, finish, outside, show_by_coefficient
 from drivers.interfaces import Direction, HeadPosition, Identity, Inclination, LevelSizes
 from drivers.person import Answer, Prompt
 from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
@@ -208,30 +208,19 @@ def show_calibrations(runs: int) -> list[str]:
         ("scatter ratio", np.sqrt(np.mean(error**2, axis=0) / np.mean(plain_error**2, axis=0))),
     )
     print(f"{runs} runs:       " + " ".join(f"{name:>6}" for name in COEFFICIENTS))
-    for what, values in rows:
-        print(f"  {what:14}" + " ".join(f"{value:6.3f}" for value in values))
+    show_by_coefficient(dict(rows))
     room = 3.0 / np.sqrt(2.0 * runs)
     z = rows[0][1]
-    return [
-        *(
-            f"z of {n} is {v:.3f}"
-            for n, v in zip(COEFFICIENTS, z, strict=True)
-            if not 0.9 - room <= v <= 1.1 + room
-        ),
-        *(
-            f"u of {n} shrinks to {r:.3f}, not {e:.3f}"
-            for n, r, e in zip(COEFFICIENTS, ratio, expected, strict=True)
-            if abs(r - e) > 0.05
-        ),
-    ]
+    return outside("z", z, 0.9 - room, 1.1 + room) + outside(
+        "u ratio less theory's", ratio - expected, -0.05, 0.05
+    )
 
 
 def main() -> int:
     given = arguments(__doc__, levellings=1000, runs=300)
     broken = show_levellings(given.levellings)
     broken += show_calibrations(given.runs) if given.runs else []
-    print("every bar holds" if not broken else "\n".join(["broken:", *broken]))
-    return 1 if broken else 0
+    return finish(broken, "every bar holds")
 
 
 if __name__ == "__main__":

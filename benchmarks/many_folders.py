@@ -36,7 +36,7 @@ from bench.model.geometry import (
     specific_force_on_platform,
 )
 from benchmarks.campaign import arguments
-from benchmarks.certificate_desk import command
+from benchmarks.certificate_desk import done
 from drivers.clock import utc_now
 
 # --- the truth: units that drift, benches with effects, what their stands then read ----------------------
@@ -458,7 +458,7 @@ def make_template(folder: Path) -> Template:
     serials = ("MY53200001", "MY53200002", "MY53200003")
     bench.write_text(bench_text("bench", serials, utc_now().year, TYPES[0]), encoding="utf-8")
     words = ("run", procedure, "--bench", bench, "--dry-run", "--seed", "1", "--name", "template", "--runs")
-    command(*words, folder)
+    done(*words, folder)
     return Template(folder / "template")
 
 

@@ -9,12 +9,9 @@ the ratio is to one run, diagnosed in the same way. The limits for twenty are a 
 
 from __future__ import annotations
 
-import multiprocessing
-import resource
-import time
 from typing import Final
 
-from benchmarks.campaign import arguments
+from benchmarks.campaign import arguments, cost_of
 
 LIMIT_S: Final = 60.0
 LIMIT_MB: Final = 1000.0
@@ -23,8 +20,8 @@ SEED: Final = 1
 G_M_S2: Final = 9.81
 
 
-def measure(runs: int, blocks: bool) -> tuple[float, float, str]:
-    """Return CPU time, s, peak of memory, MB, and the verdict, of a diagnosis in this very process."""
+def diagnosed(runs: int, blocks: bool) -> str:
+    """Return the verdict of a diagnosis in this very process."""
     from bench.config.bench_file.file import load_bench
     from bench.config.shipped import find_bench
     from bench.diagnosis import ThresholdCache
@@ -42,21 +39,18 @@ def measure(runs: int, blocks: bool) -> tuple[float, float, str]:
         stated=False,
     )  # fmt: skip
     render_diagnosis(full, NO_FILES, "many", bench.verification_limit_g, {"model": model.name})
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    return time.process_time(), peak, full.diagnosis.verdict
+    return full.diagnosis.verdict
 
 
 def main() -> int:
     """Print a table; return 1 where twenty runs or fewer take more than the limits."""
     given = arguments(__doc__, runs=[1, 5, 20])
-    context = multiprocessing.get_context("spawn")
     over = False
     print("runs  blocks     CPU / s   ratio   peak / MB   ratio   verdict")
     for blocks in (False, True):
         first: tuple[float, float] | None = None
         for runs in given.runs:
-            with context.Pool(1) as pool:
-                seconds, megabytes, verdict = pool.apply(measure, (runs, blocks))
+            verdict, seconds, _, megabytes = cost_of(diagnosed, runs, blocks)
             first = first or (seconds, megabytes)
             over = over or (runs <= 20 and (seconds > LIMIT_S or megabytes > LIMIT_MB))
             of = "a block each" if blocks else "one block"

@@ -23,11 +23,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 from unittest import mock
@@ -54,13 +52,12 @@ from bench.services.errors import Refused
 from bench.services.execution import carry_out, new_run
 from bench.services.requests.measuring import RunRequest
 from bench.services.source import Request, load_sources
-from benchmarks.campaign import Share, arguments
+from benchmarks.campaign import ROOT, Share, arguments, spread
 from benchmarks.mistaken_operator import KINDS, Mistake, MistakenOperator, draw, pass_of
 from drivers.instruments.manual import ManualHead
 from drivers.interfaces import CHANNELS
 from sim.world.clock import VirtualClock
 
-ROOT: Final = Path(__file__).parents[1]
 CLEAN: Final = "clean"
 LARGE: Final = 8.0
 """Standard deviations in a reading from which a mistake counts."""
@@ -326,10 +323,7 @@ def campaign(part: str, runs: int, clean: int, seed: int, jobs: int, **options: 
     tasks = [(kind, number) for number in range(runs) for kind in kinds]
     tasks += [(CLEAN, number) for number in range(clean)]
     work = partial(_one, part, seed, options)
-    if jobs == 1:
-        return [work(task) for task in tasks]
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(work, tasks, chunksize=4))
+    return list(spread(work, tasks, jobs))
 
 
 def _one(part: str, seed: int, given: dict[str, Any], task: tuple[str, int]) -> Outcome:

@@ -15,11 +15,9 @@ import random
 import subprocess
 import sys
 from collections import Counter
-from pathlib import Path
 
-from benchmarks.campaign import arguments
+from benchmarks.campaign import ROOT, arguments
 
-ROOT = Path(__file__).resolve().parents[1]
 FIRST = "bench.calibration.linear.*__mutmut_1"
 """A few, to have all made and the tests timed."""
 

@@ -33,7 +33,7 @@ import scipy.stats  # noqa: F401
 from bench.cli import program
 from bench.run.events import EVENTS, RunState
 from bench.run.folder import RESULTS, Run
-from benchmarks.campaign import arguments
+from benchmarks.campaign import EMPTY_FIGURE, arguments
 
 MADE: Final = ("calibrate.json", "verify.json", "report.html")
 PATTERNS: Final = (
@@ -192,7 +192,7 @@ def main() -> None:
     )
     trials = draw(given.signals, given.seed)
     if given.plain:
-        mock.patch("bench.results.plots._written", return_value='<svg viewBox="0 0 1 1"></svg>').start()
+        mock.patch("bench.results.plots._written", return_value=EMPTY_FIGURE).start()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         Program(folder, "run", "quick", "--dry-run", "--seed", "7", "--name", "base").wait()

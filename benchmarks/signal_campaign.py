@@ -23,10 +23,8 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -38,13 +36,11 @@ from bench.run.assembly.instruments import simulated_instruments, world_of
 from bench.run.events import RecordError
 from bench.run.listening import SIGNALS
 from bench.run.record import read_history
-from benchmarks.campaign import arguments
+from benchmarks.campaign import PROGRAM, ROOT, arguments, spread
 from sim.bench import SimulatedBench
 from sim.wires.faults import Fault, FaultKind
 from sim.world.clock import ScaledClock
 
-ROOT: Final = Path(__file__).resolve().parents[1]
-PROGRAM: Final = [sys.executable, "-c", "from bench.cli.program import main; main()"]
 PROCEDURE: Final = """\
 procedure: short
 title: Two points while the chamber conditions
@@ -331,9 +327,8 @@ def worker(trials: Sequence[Trial]) -> list[Outcome]:
 
 def campaign(trials: Sequence[Trial], jobs: int) -> list[Outcome]:
     """Carry trials out on as many benches as there are jobs."""
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        parts = pool.map(worker, [trials[number::jobs] for number in range(jobs)])
-        return [outcome for part in parts for outcome in part]
+    parts = spread(worker, [trials[number::jobs] for number in range(jobs)], jobs, 1)
+    return [outcome for part in parts for outcome in part]
 
 
 def table(outcomes: Sequence[Outcome]) -> str:

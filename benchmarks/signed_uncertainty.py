@@ -21,10 +21,10 @@ from __future__ import annotations
 
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -40,7 +40,7 @@ from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import VERIFICATION, Readings
 from bench.services.face import load_bench
-from benchmarks.campaign import arguments
+from benchmarks.campaign import arguments, finish, outside, parts_of, rms, show_by_coefficient
 from tests.support.paper_bench import SETTING_U_RAD
 from tests.support.whole_truth import CASES, EVERYTHING, WANDERING, Bench, simulate_whole
 
@@ -116,66 +116,35 @@ def _without(case: str, at: list[int], found: Calibration) -> Floats:
     Bench.drawn(rng, case)
     if case == "roll":
         # the roll is drawn after the stand's angles and is multiplied by nothing in another case
-        return np.asarray(
-            found.block.vector
-            - own(case).of(simulate_whole(np.random.default_rng(at), "stand").readings).block.vector
-        )
-    if case == "meters":
-        return np.asarray(
-            found.block.vector - own(case).of(simulate_whole(rng, case, Bench()).readings).block.vector
-        )
-    still = Bench()
-    return np.asarray(
-        found.block.vector - own(case).of(simulate_whole(rng, case, still).readings).block.vector
-    )
+        other = simulate_whole(np.random.default_rng(at), "stand")
+    else:
+        other = simulate_whole(rng, case, Bench())
+    return np.asarray(found.block.vector - own(case).of(other.readings).block.vector)
 
 
-def show(case: str, parts: list[tuple[Floats, ...]], runs: int) -> list[str]:
+def show(case: str, parts: list[Any], runs: int) -> list[str]:
     error, u, u_readings, dg, u_dg, difference, added = (np.concatenate(c) for c in zip(*parts, strict=True))
-    z = np.sqrt(np.mean((error / u) ** 2, axis=0))
-    z_readings = np.sqrt(np.mean((error / u_readings) ** 2, axis=0))
+    z, z_readings = rms(error / u), rms(error / u_readings)
     covered = np.mean(np.abs(error) <= 2 * u, axis=0)
-    z_dg = np.sqrt(np.mean((dg / u_dg) ** 2, axis=0))
+    z_dg = rms(dg / u_dg)
     print(f"\n{case}: {runs} runs")
-    for what, values in (("z, combined", z), ("z, readings", z_readings), ("coverage", covered)):
-        print(f"  {what:12}" + " ".join(f"{v:6.3f}" for v in values))
+    show_by_coefficient({"z, combined": z, "z, readings": z_readings, "coverage": covered})
     print(f"  coverage of all {np.mean(covered):.3f}, the worst {np.min(covered):.3f}")
-    print(f"  {'z, delta g':12}" + " ".join(f"{v:6.3f}" for v in z_dg))
+    show_by_coefficient({"z, delta g": z_dg})
     least = float(stats.binom.ppf(0.001, runs, 0.945)) / runs
-    broken = [
-        f"{case}: z of {n} is {v:.3f}"
-        for n, v in zip(COEFFICIENTS, z, strict=True)
-        if v > 1.1 + 3 / np.sqrt(2 * runs)
-    ]
-    broken += [
-        f"{case}: coverage of {n} is {v:.3f}, below {least:.3f}"
-        for n, v in zip(COEFFICIENTS, covered, strict=True)
-        if v < least
-    ]
-    if case in EVERYTHING:
-        broken += [
-            f"{case}: z of {n} is {v:.3f}"
-            for n, v in zip(COEFFICIENTS, z, strict=True)
-            if v < 0.9 - 3 / np.sqrt(2 * runs)
-        ]
+    room = 3 / np.sqrt(2 * runs)
+    broken = outside(f"{case}: z", z, 0.9 - room if case in EVERYTHING else 0.0, 1.1 + room)
+    broken += outside(f"{case}: coverage (at least {least:.3f})", covered, least)
     if case == "stand":
-        broken += [
-            f"stand: z of the readings of {n} is {v:.3f}"
-            for n, v in zip(COEFFICIENTS, z_readings, strict=True)
-            if not 0.92 - 3 / np.sqrt(2 * runs) <= v <= 1.06 + 3 / np.sqrt(2 * runs)
-        ]
+        broken += outside("stand: z of the readings", z_readings, 0.92 - room, 1.06 + room)
     if case in KNOWN:
         drawn = np.mean(difference**2, axis=0)
         stated = np.mean(added, axis=0)
         matters = stated > 0.05 * np.mean(u_readings**2, axis=0)
         ratio = np.where(matters, drawn / np.where(stated > 0, stated, 1.0), np.nan)
-        print(f"  {'drawn/added':12}" + " ".join(f"{v:6.3f}" for v in ratio))
+        show_by_coefficient({"drawn/added": ratio})
         room = 0.1 + 3 * np.sqrt(2 / runs)
-        broken += [
-            f"{case}: {n} drawn/added {v:.3f}"
-            for n, v in zip(COEFFICIENTS, ratio, strict=True)
-            if abs(v - 1) > room
-        ]
+        broken += outside(f"{case}: drawn/added", ratio, 1 - room, 1 + room)
     return broken
 
 
@@ -223,15 +192,14 @@ def beside_bound(seed: int, numbers: range) -> tuple[Floats, Floats, Floats, Flo
     return error, ideal, u, bound
 
 
-def show_bound(parts: list[tuple[Floats, Floats, Floats, Floats]], runs: int) -> list[str]:
+def show_bound(parts: list[Any], runs: int) -> list[str]:
     error, ideal, u, bound = (np.concatenate(column) for column in zip(*parts, strict=True))
     # both estimate from the same readings, so the ratio of their scatters is known better than either
     scatter = np.sqrt(np.mean(error**2, axis=0) / np.mean(ideal**2, axis=0))
     stated = np.mean(u, axis=0) / np.mean(bound, axis=0)
     apart = np.sqrt(np.var(error**2 - ideal**2, axis=0) / runs) / (2.0 * np.mean(ideal**2, axis=0))
     print(f"\nbeside the Cramer-Rao bound: {runs} runs")
-    for what, values in (("scatter", scatter), ("its s. error", apart), ("mean u", stated)):
-        print(f"  {what:12}" + " ".join(f"{v:6.3f}" for v in values))
+    show_by_coefficient({"scatter": scatter, "its s. error": apart, "mean u": stated})
     return [
         f"{n}: scatter {s:.3f}, mean u {m:.3f} of the bound"
         for n, s, a, m in zip(COEFFICIENTS, scatter, apart, stated, strict=True)
@@ -247,35 +215,24 @@ def main() -> int:
     broken: list[str] = []
     begun = time.perf_counter()
     count = given.bound or given.pairs or given.runs
-    chunks = [range(i, min(i + CHUNK, count)) for i in range(0, count, CHUNK)]
-    with ProcessPoolExecutor(given.workers) as pool:
-        if given.bound:
-            broken += show_bound(
-                list(pool.map(beside_bound, [given.seed] * len(chunks), chunks)), given.bound
-            )
-        for case in given.cases if not given.bound else ():
-            of = [case] * len(chunks), [given.seed] * len(chunks), chunks
-            if given.pairs:
-                n, differ, changed, found = (
-                    sum(column) for column in zip(*pool.map(pairs, *of), strict=True)
-                )
-                upper = float(stats.beta.ppf(0.99, differ + 1, n - differ))
-                share = f"{differ / n:.3f}, upper 99 % {upper:.3f}"
-                print(
-                    f"{case}: {differ} of {n} pairs said to differ ({share}), {found} of {changed} changes found",
-                    flush=True,
-                )
-                broken += [f"{case}: differ in {upper:.3f}"] * (upper > 0.07) + [
-                    f"{case}: found {found} of {changed}"
-                ] * (found < 0.98 * changed)
-            else:
-                broken += show(case, list(pool.map(run, *of)), count)
-                sys.stdout.flush()
-    print(
-        f"\n{time.perf_counter() - begun:.0f} s; "
-        + ("every bar holds" if not broken else "\n".join(["broken:", *broken]))
-    )
-    return 1 if broken else 0
+    if given.bound:
+        broken += show_bound(parts_of(partial(beside_bound, given.seed), count, given.workers, CHUNK), count)
+    for case in given.cases if not given.bound else ():
+        work = partial(pairs if given.pairs else run, case, given.seed)
+        parts = parts_of(work, count, given.workers, CHUNK)
+        broken += show_pairs(case, parts) if given.pairs else show(case, parts, count)
+        sys.stdout.flush()
+    print(f"\n{time.perf_counter() - begun:.0f} s")
+    return finish(broken, "every bar holds")
+
+
+def show_pairs(case: str, parts: list[Any]) -> list[str]:
+    n, differ, changed, found = (sum(column) for column in zip(*parts, strict=True))
+    upper = float(stats.beta.ppf(0.99, differ + 1, n - differ))
+    share = f"{differ / n:.3f}, upper 99 % {upper:.3f}"
+    print(f"{case}: {differ} of {n} pairs said to differ ({share}), {found} of {changed} changes found")
+    broken = [f"{case}: differ in {upper:.3f}"] * (upper > 0.07)
+    return broken + [f"{case}: found {found} of {changed}"] * (found < 0.98 * changed)
 
 
 if __name__ == "__main__":

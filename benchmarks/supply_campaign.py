@@ -19,12 +19,9 @@ import random
 import sys
 import tempfile
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 from unittest import mock
@@ -34,8 +31,8 @@ import yaml
 import bench.cli.measure
 import bench.run.assembly.served
 from bench.run.folder import Run
-from benchmarks.campaign import arguments
-from benchmarks.fault_campaign import ROOT, VALUE_V, command, exact
+from benchmarks.campaign import ROOT, amiss, arguments, by_kind, command, spread
+from benchmarks.fault_campaign import VALUE_V, exact
 from sim.bench import SimulatedBench
 from sim.world.power import Disturbance, Power
 
@@ -180,7 +177,7 @@ def stands(folder: Path, ways: Sequence[Fed] = WAYS) -> list[FedStand]:
         procedure.write_text(PROCEDURE, encoding="utf-8")
         bare = FedStand(fed, bench_file, procedure)
         with watched(None) as watch:
-            status, said, _ = command(_arguments(bare, folder, f"undisturbed-{number}"))
+            status, _, said, _ = command(*_arguments(bare, folder, f"undisturbed-{number}"))
         if status != 0:
             raise RuntimeError(f"{fed.name}: the undisturbed run ended with {status}: {said}")
         if watch.power.violations:
@@ -253,7 +250,7 @@ def carry_out(trial: FedTrial, folder: Path) -> FedOutcome:
     outcome = FedOutcome(trial)
     name = f"fed-trial-{trial.name}"
     with watched(trial.disturbance) as watch:
-        status, outcome.said, _ = command(_arguments(trial.stand, folder, name))
+        status, _, outcome.said, _ = command(*_arguments(trial.stand, folder, name))
     run = Run(folder / name)
     outcome.completed = status == 0
     outcome.readings_before = len(run.history.readings)
@@ -265,7 +262,7 @@ def carry_out(trial: FedTrial, folder: Path) -> FedOutcome:
     judge_stop(status, outcome)
     before = run.history.readings
     with watched(None) as watch:
-        status, said, _ = command(["resume", name, "--runs", str(folder)])
+        status, _, said, _ = command("resume", name, "--runs", folder)
     if status != 0:
         outcome.violations.append(f"the resumed run ended with {status}: {said.strip()}")
         return outcome
@@ -434,27 +431,21 @@ def draw(count: int, seed: int, benches: Sequence[FedStand]) -> list[FedTrial]:
 
 def table(outcomes: Sequence[FedOutcome]) -> str:
     """Return the table by kind."""
-    by_kind: dict[str, list[FedOutcome]] = defaultdict(list)
-    for outcome in outcomes:
-        by_kind[outcome.trial.kind].append(outcome)
-        by_kind["all"].append(outcome)
-    headings = ("runs", "completed", "stopped", "resumed", "wrong", "outside", "other", "unseen")
-    lines = [f"{'kind':8}" + "".join(f"{heading:>11}" for heading in headings)]
-    for kind in (*KINDS, "all"):
-        rows = by_kind.get(kind, [])
-        wrong, outside = sum(r.wrong_values for r in rows), sum(r.outside_limits for r in rows)
-        numbers = (
-            len(rows),
-            sum(r.completed for r in rows),
-            sum(not r.completed for r in rows),
-            sum(r.resumed for r in rows),
-            wrong,
-            outside,
-            sum(len(r.violations) for r in rows) - wrong - outside,
-            sum(r.unseen for r in rows),
-        )
-        lines.append(f"{kind:8}" + "".join(f"{number:11}" for number in numbers))
-    return "\n".join(lines)
+
+    def other(row: FedOutcome) -> int:
+        return len(row.violations) - row.wrong_values - row.outside_limits
+
+    counts: dict[str, Callable[[Sequence[FedOutcome]], object]] = {
+        "runs": len,
+        "completed": lambda rows: sum(row.completed for row in rows),
+        "stopped": lambda rows: sum(not row.completed for row in rows),
+        "resumed": lambda rows: sum(row.resumed for row in rows),
+        "wrong": lambda rows: sum(row.wrong_values for row in rows),
+        "outside": lambda rows: sum(row.outside_limits for row in rows),
+        "other": lambda rows: sum(map(other, rows)),
+        "unseen": lambda rows: sum(row.unseen for row in rows),
+    }
+    return by_kind(outcomes, KINDS, lambda row: row.trial.kind, counts)
 
 
 def violations(outcomes: Sequence[FedOutcome]) -> list[str]:
@@ -468,14 +459,13 @@ def violations(outcomes: Sequence[FedOutcome]) -> list[str]:
 
 def main() -> int:
     given = arguments(
-        __doc__, runs=350, seed=1, jobs=(1, "processes"), stops=(False, "also print why runs stopped")
+        __doc__, runs=350, seed=1, workers=(1, "processes"), stops=(False, "also print why runs stopped")
     )
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         trials = draw(given.runs, given.seed, stands(folder))
         begun_s = time.monotonic()
-        with ProcessPoolExecutor(given.jobs, mp_context=get_context("spawn")) as pool:
-            outcomes = list(pool.map(partial(carry_out, folder=folder), trials, chunksize=4))
+        outcomes = list(spread(partial(carry_out, folder=folder), trials, given.workers))
         took_s = time.monotonic() - begun_s
     print(table(outcomes))
     print(f"{len(outcomes)} runs in {took_s:.0f} s, seed {given.seed}")
@@ -484,10 +474,7 @@ def main() -> int:
         for outcome in outcomes:
             if not outcome.completed:
                 print(f"{outcome.trial.kind}: {outcome.said.strip().splitlines()[-1]}")
-    found = violations(outcomes)
-    for text in found:
-        print(f"VIOLATION {text}")
-    return 1 if found else 0
+    return amiss(violations(outcomes))
 
 
 if __name__ == "__main__":

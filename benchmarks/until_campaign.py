@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -37,7 +36,7 @@ from bench.planning.choice import REACHED, Choice, Chooser, Standing, scale_of
 from bench.planning.pool import Point, Task, Visits, reached_by
 from bench.readings.table import Readings, make_readings
 from bench.services.until import chooser_of
-from benchmarks.campaign import arguments
+from benchmarks.campaign import arguments, parts_of
 from tests.support.paper_bench import U0, K, specific_force
 
 NOISES = (0.5, 0.7, 1.0, 1.2)
@@ -46,7 +45,6 @@ READING_V, SETTING_RAD = 1e-4, 10 * ARCSEC / 3
 TILT_RAD, MOUNT_RAD = 5 * ARCSEC / 3, 90 * ARCSEC / 3
 
 
-CHUNK = 100
 FIXED_EVERY = 4
 SPREAD = 0.02
 """Of the block about the paper's, g and V."""
@@ -247,10 +245,8 @@ def main() -> int:
         __doc__, runs=2500, seed=1, workers=1, minutes=float("inf"), goal=["all=5e-5"], noise=NOISES
     )
     last_start = time.time() + 60 * asked.minutes
-    chunks = [range(first, min(first + CHUNK, asked.runs)) for first in range(0, asked.runs, CHUNK)]
     run = partial(part, asked.goal, asked.noise, asked.seed, last_start)
-    with ProcessPoolExecutor(asked.workers) as pool:
-        ended = [one for chunk in pool.map(run, chunks) for one in chunk]
+    ended = [one for chunk in parts_of(run, asked.runs, asked.workers) for one in chunk]
     chooser = chooser_for(asked.goal)
     fixed = {scale: best_fixed(chooser, scale) for scale in asked.noise}
     times = {scale: time_of(chooser, points) for scale, points in fixed.items()}

@@ -1,10 +1,12 @@
 """What tests share: a command line in an empty folder."""
 
 import contextlib
+import faulthandler
 import gc
 import io
 import os
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -14,6 +16,42 @@ from tests.support import thresholds
 
 # as `bench diagnose` has it: with many small matrices the threads would wait for one another
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+HANGS_S = 300.0
+"""After so long in one test, or a few, all threads are shown: a test that hangs shows where."""
+
+
+class Session:
+    """What holds from test to test: when the watch for a hang was set, and whether figures are drawn."""
+
+    stderr = 2
+    watched_s = -HANGS_S
+    draw: Callable[..., str] | None = None
+
+
+def pytest_configure() -> None:
+    """Keep the standard error of the session, which tests do not see."""
+    Session.stderr = os.dup(2)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Set the watch for a hang, and say whether this test and its fixtures draw figures.
+
+    Where a test works by commands, the figures of pages are left empty: they cost more than all else. Tests marked
+    `figures` draw them. To set the watch for each test would cost more than most tests do.
+    """
+    if time.monotonic() - Session.watched_s > HANGS_S / 10.0:
+        Session.watched_s = time.monotonic()
+        faulthandler.dump_traceback_later(HANGS_S, file=Session.stderr)
+    empty = "bench" in getattr(item, "fixturenames", ()) and item.get_closest_marker("figures") is None
+    if empty or Session.draw is not None:
+        from bench.results import plots
+
+        # beneath what other modules import by name: one imported now would keep the empty one for ever
+        Session.draw = Session.draw or plots._written
+        plots._written = (lambda name, inches, draw: EMPTY_FIGURE) if empty else Session.draw
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -65,17 +103,6 @@ def dry_run_of_paper(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def paper_run(empty_folder: None, dry_run_of_paper: Path) -> None:
     """A dry run of the paper's procedure as `runs/run` of the empty folder: a copy of one that many share."""
     shutil.copytree(dry_run_of_paper, "runs/run")
-
-
-@pytest.fixture(autouse=True)
-def no_figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where a test works by commands, leave the figures of pages empty: they cost more than all else.
-
-    Those of `tests/results` and the tests marked `figures` draw them.
-    """
-    if "bench" in request.fixturenames and request.node.get_closest_marker("figures") is None:
-        # beneath what other modules import by name: one imported now would keep the empty one for ever
-        monkeypatch.setattr("bench.results.plots._written", lambda name, inches, draw: EMPTY_FIGURE)
 
 
 EMPTY_FIGURE = '<svg viewBox="0 0 1 1"></svg>'

@@ -78,7 +78,7 @@ HEADINGS: Final = {
 
 
 COMPLETED_BY: Final[list[Callable[[Any], Any]]] = []
-"""What gives a command the options that all of its kind have; `bench.cli.options`, which commands import, adds it."""
+"""What gives a command the options that all commands have; `bench.cli.options`, which commands import, adds it."""
 
 
 class Commands(TyperGroup):

@@ -78,7 +78,7 @@ def log(benches: dict[str, Stand], runs: Path) -> Path:
     """The wire log of an undisturbed run on the paper's stand."""
     file = runs / "undisturbed.log"
     arguments = campaign.run_arguments(benches["paper-stand"], runs, "logged")
-    assert campaign.command([*arguments, "--wire-log", str(file)])[0] == 0
+    assert campaign.command(*arguments, "--wire-log", file).status == 0
     return file
 
 

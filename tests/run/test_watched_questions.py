@@ -15,7 +15,7 @@ from bench.run.person import RunControl
 from bench.run.power import WATCH_S, RailFault
 from bench.run.terminal import LineReader, ProgressBar, TerminalPerson
 from benchmarks import supply_campaign
-from benchmarks.fault_campaign import command
+from benchmarks.campaign import command
 from drivers.interfaces import NoAnswer
 from drivers.person import Answer, Prompt, PromptKind
 from sim.world.clock import VirtualClock
@@ -213,8 +213,8 @@ def test_a_rail_that_drifts_while_the_block_is_mounted_stops_the_run_within_its_
     (stand,) = supply_campaign.stands(tmp_path, supply_campaign.WAYS[2:])
     drift = Disturbance("drift", 596.0, "3", 53.0)
     with supply_campaign.watched(drift) as watch:
-        status, said, _ = command(
-            ["run", str(stand.procedure), "--dry-run", "--bench", str(stand.bench), "--runs", str(tmp_path)]
+        status, _, said, _ = command(
+            "run", stand.procedure, "--dry-run", "--bench", stand.bench, "--runs", tmp_path
         )
     assert status == 2
     assert "rail n15 has -14.7" in said or "rail n15 has -14.6" in said
