@@ -162,20 +162,8 @@ RunsOption = Annotated[
 JsonOption = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is standard output.")
 ]
-ModelOption = Annotated[
-    Path | None, typer.Option("--model", metavar="FILE", help="Model file: effects beside the paper's terms.")
-]
 OutOption = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Where to write what is derived from a file.")
-]
-SkipOption = Annotated[bool, typer.Option("--skip-bad-rows", help="Leave out rows that cannot be read.")]
-WireLogOption = Annotated[
-    Path | None,
-    typer.Option("--wire-log", metavar="FILE", help="Write every message to and from the instruments."),
-]
-GravityOption = Annotated[
-    float | None,
-    typer.Option("--g", metavar="M/S2", help="Local gravity, m/s², in place of the bench file's."),
 ]
 StrictFitOption = Annotated[
     bool,

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.base.files import read_regular
 from bench.cli import printing
 from bench.cli.options import RUNS, BenchOption, JsonOption, RunArgument, RunsOption, app
-from bench.services.errors import Refused
+
+if TYPE_CHECKING:
+    from bench.services.bench_selection import BenchTaken
 
 
 @app.command(epilog="Example: bench runs")
@@ -142,24 +143,15 @@ def export(
     runs: RunsOption = RUNS,
 ) -> int:
     """Write the readings of a run as a readings file."""
-    from bench.base.files import write_whole
-    from bench.readings.csv import format_csv
-    from bench.services.bench_selection import SUFFIX, is_told
-    from bench.services.source import Request, load_sources
+    from bench.services.conclusion import export_readings
 
-    (source,) = load_sources(Request([run], runs))
-    text = format_csv(source.as_read)
     if csv == "-":
-        sys.stdout.write(text)
-    else:
-        beside = Path(csv + SUFFIX)
-        if beside.exists() and not is_told(beside):
-            raise Refused(f"{beside}: is a file of something else; export under another name")
-        write_whole(Path(csv), text)
-        printing.console().print(f"{len(source.readings)} readings written to {csv}")
-        if source.origin is not None:
-            write_whole(beside, source.origin.text_beside(Path(csv), text.encode()))
-            printing.written("where they come from", beside)
+        sys.stdout.write(export_readings(run, runs, None).text)
+        return 0
+    found = export_readings(run, runs, Path(csv))
+    printing.console().print(f"{found.readings} readings written to {csv}")
+    if found.beside is not None:
+        printing.written("where they come from", found.beside)
     return 0
 
 
@@ -171,44 +163,14 @@ def import_(
     runs: RunsOption = RUNS,
 ) -> int:
     """Make a run of a readings file that was measured elsewhere."""
-    from bench.base.files import read_given
-    from bench.readings.csv import read_csv
-    from bench.run.events import Manifest
-    from bench.run.folder import BENCH, IMPORTED, Run, checked_name
-    from bench.run.record import Record
-    from bench.services.bench_selection import SUFFIX, bench_of, origin_beside
-    from bench.services.errors import Refused
-    from bench.services.records import versions
-    from drivers.clock import utc_now
+    from bench.services.conclusion import import_readings
 
-    try:
-        content = read_given(file)  # once: a pipe has nothing more to give
-    except OSError as error:
-        raise Refused(f"{file}: cannot be read ({error.strerror}); check the name") from error
-    told = origin_beside(file)
-    taken, notes = bench_of(str(file), None, told, bench)
-    on = printing.console()
-    printing.bench_file(taken, None)
-    printing.notes_on(on, notes)
-    path = Path(taken.where)
-    readings = read_csv(file, taken.file.installation_models(), content=content)
-    run = Run(runs / checked_name(name or re.sub(r"[^\w.+-]", "-", file.stem)))
-    manifest: Manifest = {
-        "name": run.name,
-        "created": utc_now().isoformat(),
-        "imported": str(file),
-        "readings": len(readings),
-        "bench": str(path),
-        "bench_why": taken.why,
-        "versions": versions(),
-    }
-    if told.origin is not None:
-        manifest["dry_run"] = told.origin.simulated
-    inputs = {IMPORTED: content, BENCH: read_regular(path)}
-    if told.origin is not None:
-        inputs[IMPORTED + SUFFIX] = read_regular(file.with_name(file.name + SUFFIX))
-    record = Record.create(run.folder, manifest, inputs, utc_now)
-    record.append("imported", 0.0, file=str(file), readings=len(readings))
-    record.close()
-    on.print(f"{len(readings)} readings imported as run {run.name} in {run.folder}")
+    out = printing.console()
+
+    def announce(taken: BenchTaken, notes: Sequence[str]) -> None:
+        printing.bench_file(taken, None)
+        printing.notes_on(out, notes)
+
+    run = import_readings(file, name, bench, runs, announce)
+    out.print(f"{run.manifest['readings']} readings imported as run {run.name} in {run.folder}")
     return 0

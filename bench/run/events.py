@@ -483,17 +483,6 @@ HEARD: Final[Mapping[RunState, frozenset[Wish]]] = {
 _CHANGING: Final = frozenset(event for row in TRANSITIONS.values() for event in row)
 
 
-def state_after(events: list[str]) -> RunState:
-    """Return the state that a run's events lead to; events that change no state are passed over.
-
-    Raises `ValueError` for a sequence that the table does not allow.
-    """
-    state = RunState.READY
-    for event in events:
-        state = state_after_one(state, event)
-    return state
-
-
 def state_after_one(state: RunState, event: str) -> RunState:
     """Return the state that an event on record leads to. Raises `ValueError` where the table does not allow it."""
     if event not in _CHANGING:

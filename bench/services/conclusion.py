@@ -1,25 +1,32 @@
-"""What a finished run is concluded with: calibration, verification, report, control chart, kept in its folder."""
+"""Runs that are finished: their results made and kept in their folder; readings exported and imported."""
 
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-from bench.base.files import to_text, write_whole
+from bench.base.files import read_given, read_regular, to_text, write_whole
 from bench.calibration import CalibrationError
+from bench.readings.csv import format_csv, read_csv
 from bench.results.control_chart import CheckBlockChart
-from bench.run.folder import RESULTS, Run
+from bench.run.events import Manifest
+from bench.run.folder import BENCH, IMPORTED, RESULTS, Run, checked_name
 from bench.run.listening import Interrupts
-from bench.services.bench_selection import own_bench
+from bench.run.record import Record
+from bench.services.bench_selection import SUFFIX, BenchTaken, bench_of, is_told, origin_beside, own_bench
 from bench.services.calibration import CalibrationResult, calibration_of, report_page
 from bench.services.check_block import chart_of, check_block_runs, is_check_block
 from bench.services.early_mistakes import told_in_words
 from bench.services.errors import Refused
+from bench.services.records import versions
 from bench.services.source import Request, Source, load_sources
 from bench.services.until import is_short
 from bench.services.verification import NOTHING_ASKED, VerificationResult
+from drivers.clock import utc_now
 
 _MADE: Final = ("calibrate.json", "verify.json", "report.html", "chart.json")
 """What may be made of a finished run."""
@@ -131,3 +138,71 @@ def charted(run: Run) -> dict[str, Any]:
             "chart_unwritten": f"{os.fspath(run.folder / 'chart.json')} ({error.strerror})",
         }
     return {"chart": chart}
+
+
+# --- readings files ---------------------------------------------------------------------------------
+
+
+class Exported(NamedTuple):
+    """A readings file that was made of a run, and the file that says where it comes from, where there is one."""
+
+    text: str
+    readings: int
+    beside: Path | None
+
+
+def export_readings(run: str, runs: Path, csv: Path | None) -> Exported:
+    """Return the readings of a run as a readings file, and write it to `csv`. Raises `Refused`."""
+    (source,) = load_sources(Request([run], runs))
+    text = format_csv(source.as_read)
+    if csv is None:
+        return Exported(text, len(source.readings), None)
+    beside = Path(f"{csv}{SUFFIX}")
+    if beside.exists() and not is_told(beside):
+        raise Refused(f"{beside}: is a file of something else; export under another name")
+    write_whole(csv, text)
+    if source.origin is None:
+        return Exported(text, len(source.readings), None)
+    write_whole(beside, source.origin.text_beside(csv, text.encode()))
+    return Exported(text, len(source.readings), beside)
+
+
+def import_readings(
+    file: Path,
+    name: str | None,
+    bench: str | None,
+    runs: Path,
+    announce: Callable[[BenchTaken, Sequence[str]], None],
+) -> Run:
+    """Make a run of a readings file that was measured elsewhere; the bench file is announced before it is read.
+
+    Raises `Refused` for a file that cannot be read, `ReadingsError` for bad rows, `RecordError` for a name that is
+    taken.
+    """
+    try:
+        content = read_given(file)  # once: a pipe has nothing more to give
+    except OSError as error:
+        raise Refused(f"{file}: cannot be read ({error.strerror}); check the name") from error
+    told = origin_beside(file)
+    taken, notes = bench_of(str(file), None, told, bench)
+    announce(taken, notes)
+    path = Path(taken.where)
+    readings = read_csv(file, taken.file.installation_models(), content=content)
+    run = Run(runs / checked_name(name or re.sub(r"[^\w.+-]", "-", file.stem)))
+    manifest: Manifest = {
+        "name": run.name,
+        "created": utc_now().isoformat(),
+        "imported": str(file),
+        "readings": len(readings),
+        "bench": str(path),
+        "bench_why": taken.why,
+        "versions": versions(),
+    }
+    inputs = {IMPORTED: content, BENCH: read_regular(path)}
+    if told.origin is not None:
+        manifest["dry_run"] = told.origin.simulated
+        inputs[IMPORTED + SUFFIX] = read_regular(file.with_name(file.name + SUFFIX))
+    record = Record.create(run.folder, manifest, inputs, utc_now)
+    record.append("imported", 0.0, file=str(file), readings=len(readings))
+    record.close()
+    return run

@@ -1,12 +1,15 @@
-"""The runner: each step recorded before the next, each way out leaves the bench closed, no reading twice."""
+"""Runs of a plan: carried out, recorded, resumed; states and certificates on the way."""
+
+from __future__ import annotations
 
 import contextlib
+from functools import reduce
 
 import pytest
 
 from bench.config.procedure.plan import OnFailure, Plan, SetTemperature
 from bench.readings.reading import Reading, readings_of
-from bench.run.events import RecordError
+from bench.run.events import ENDED, HEARD, TRANSITIONS, RecordError, RunState, state_after_one
 from bench.run.instruments import Instruments
 from bench.run.person import UNTOUCHED
 from bench.run.record import Record, resume_point
@@ -296,3 +299,81 @@ def test_a_block_that_is_too_hot_stops_the_run(tmp_path):
     with pytest.raises(LimitExceeded, match="75 °C"):
         changed(runner, instruments=together).run()
     assert recorded(tmp_path / "run")[1] == ["r11", "r12", "r13"]
+
+
+def test_the_table_of_transitions_has_no_dead_end_but_the_two_ends():
+    reachable = {RunState.READY}
+    for _ in RunState:
+        reachable |= {after for state in reachable for after in TRANSITIONS[state].values()}
+    assert reachable == set(RunState)
+    assert {state for state in RunState if not TRANSITIONS[state]} == {RunState.FINISHED, RunState.ABORTED}
+    assert set(HEARD) == {RunState.RUNNING, RunState.PAUSED}
+
+
+def state_after(events):
+    return reduce(state_after_one, events, RunState.READY)
+
+
+@pytest.mark.parametrize("state", list(RunState))
+def test_every_transition_leads_where_the_table_says_and_no_other_is_allowed(state):
+    ways = {
+        RunState.READY: [],
+        RunState.RUNNING: ["run_started"],
+        RunState.PAUSED: ["run_started", "run_paused"],
+        RunState.FINISHED: ["run_started", "run_finished"],
+        RunState.FAILED: ["run_started", "run_failed"],
+        RunState.INTERRUPTED: ["run_started", "run_interrupted"],
+        RunState.ABORTED: ["run_started", "run_aborted"],
+    }
+    way = ways[state]
+    assert state_after(way) is state
+    events = {event for row in TRANSITIONS.values() for event in row}
+    for event in events:
+        if event in TRANSITIONS[state]:
+            assert state_after([*way, event]) is TRANSITIONS[state][event]
+        else:
+            with pytest.raises(ValueError, match="cannot follow"):
+                state_after([*way, event])
+
+
+@pytest.mark.parametrize("stopped", ["run_failed", "run_interrupted"])
+@pytest.mark.parametrize("attempt", ["run_failed", "run_interrupted"])
+def test_an_attempt_to_go_on_that_fails_leaves_a_run_as_it_was(stopped, attempt):
+    """Records that earlier versions wrote so are read as what they are."""
+    before = state_after(["run_started", stopped])
+    assert state_after(["run_started", stopped, attempt, attempt]) is before
+    assert state_after(["run_started", stopped, attempt, "run_resumed"]) is RunState.RUNNING
+
+
+@pytest.mark.parametrize("state", [state for state in RunState if state not in ENDED])
+def test_whatever_a_program_left_a_run_at_another_takes_it_up_or_ends_it(state):
+    assert TRANSITIONS[state]["run_resumed"] is RunState.RUNNING
+    assert TRANSITIONS[state]["run_aborted"] is RunState.ABORTED
+
+
+def test_what_is_to_be_said_of_certificates_is_recorded_before_the_first_step(tmp_path):
+    asked = []
+
+    def said(serials):
+        asked.append(dict(serials))
+        return ["the certificate of x is of MY1, but MY2 answered"]
+
+    runner = make_runner(Bench(), new_record(tmp_path), certificates=said)
+    meter = runner.bench.instruments.voltmeters[0]
+    meter.open = lambda: Identity("K", "34461A", "MY2")
+    runner.run()
+    serials = {"voltmeter.x": "MY2", "voltmeter.y": "", "voltmeter.z": "", "head": ""}
+    assert asked == [serials]
+    history, _, _ = recorded(tmp_path / "run")
+    first, second, third = list(history.events)[:3]
+    assert (first.type, second.type, third.type) == ("run_started", "certificate", "step_started")
+    assert second.data["words"] == "the certificate of x is of MY1, but MY2 answered"
+    assert history.serials == serials
+    assert history.state == "finished"
+
+
+def test_without_certificates_a_record_is_as_it_was(tmp_path):
+    make_runner(Bench(), new_record(tmp_path)).run()
+    history, _, _ = recorded(tmp_path / "run")
+    assert set(next(iter(history.events)).data) == {"step", "instruments"}
+    assert history.serials == {}

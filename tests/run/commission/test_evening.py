@@ -1,8 +1,20 @@
-"""How the outcome of a check becomes a finding: errors, wishes, losses, late answers, connections made anew."""
+"""An evening of checks: the session, its findings and its wires."""
+
+from __future__ import annotations
 
 import pytest
 
-from bench.run.commission.session import ONLY_THESE, Ended, Evening, Finding, Skipped, State
+from bench.run.commission.session import (
+    ONLY_THESE,
+    Ended,
+    Evening,
+    Figure,
+    Finding,
+    Skipped,
+    State,
+    WireWatch,
+    status_of,
+)
 from bench.run.events import Wish
 from bench.run.instruments import Instruments
 from bench.run.person import OperatorWish, RunControl
@@ -139,3 +151,55 @@ def test_no_waits(tonight, person):
     person.answers = ["no", "yes"]
     tonight.confirm("Is the way clear?")
     assert len(person.asked) == 2
+
+
+def found(*states: State) -> list[Finding]:
+    return [Finding("check", "head", state, "said") for state in states]
+
+
+@pytest.mark.parametrize(
+    ("states", "status"),
+    [
+        ([State.WORKS], 0),
+        ([State.WORKS, State.SKIPPED], 0),
+        ([State.WORKS, State.SLOWER], 1),
+        ([State.OTHER, State.WORKS], 1),
+        ([State.OTHER, State.COULD_NOT], 2),
+        ([], 2),
+    ],
+)
+def test_the_worst_decides_the_status(states, status):
+    assert status_of(found(*states), whole=True) == status
+
+
+def test_an_evening_that_was_not_gone_through_is_not_done():
+    assert status_of(found(State.WORKS), whole=False) == 2
+
+
+def test_a_figure_is_told_with_its_unit_and_what_it_was_held_against():
+    assert Figure("took", 4.123456, "s", "4.1 s expected").text == "took 4.123 s (4.1 s expected)"
+    assert Figure("mean", 1.0, "µV").text == "mean 1 µV"
+
+
+def test_a_finding_is_one_sentence_with_what_to_do():
+    finding = Finding("stop", "head", State.OTHER, "went on", remedy="do not use it")
+    assert finding.sentence == "head: stop: went on; do not use it"
+
+
+def test_the_time_of_an_answer_is_from_its_command_on_and_of_its_instrument():
+    clock, logged = VirtualClock(), []
+    watch = WireWatch(lambda *message: logged.append(message), clock.now_s)
+    watch("x", ">", "*IDN?")
+    clock.sleep(0.1)
+    watch("y", ">", "TEMP?")
+    mark = watch.mark()
+    clock.sleep(0.2)
+    watch("x", "<", "M1")
+    watch("y", "!", "after sending: InstrumentLost: gone; look")
+    watch("y", "<", "too late")
+    (exchange,) = watch.exchanges(mark, "x")
+    assert (exchange.command, round(exchange.took_s, 9)) == ("*IDN?", 0.3)
+    assert watch.exchanges(mark, "y") == []
+    assert watch.failures(mark, "y") == ["after sending: InstrumentLost: gone; look"]
+    assert watch.failures(mark, "x") == watch.failures(watch.mark(), "y") == []
+    assert [direction for _, direction, _ in logged] == [">", ">", "<", "!", "<"]

@@ -1,17 +1,47 @@
-"""What befalls the block's supply in whole dry runs: a short seeded campaign (seed 20261122).
+"""Campaigns of signals and supplies in miniature: each finds nothing amiss, and could."""
 
-The campaign itself is `benchmarks/supply_campaign.py`; it judges values, the block's limits in the world, messages
-and resuming.
-"""
+from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import pytest
 
+from benchmarks import signal_campaign
 from benchmarks import supply_campaign as campaign
+from benchmarks.signal_campaign import PATTERNS, PHASES, TROUBLES, Trial, draw, worker
 from sim.world.power import Disturbance
 
 pytestmark = pytest.mark.slow
+with_sighup = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="a system without SIGHUP")
+NEVER_S = 120.0
+"""No trial is judged by its time here: a machine that is busy is not a fault."""
+INT, TERM = signal.SIGINT, signal.SIGTERM
+TRIALS = [
+    Trial(0, "turn", "single", (INT,), 0.0, "none"),
+    Trial(1, "run_failed", "burst", (TERM, INT, INT, TERM, INT, INT, TERM), 0.0, "meter hangs"),
+    Trial(2, "run_finished", "double", (INT, TERM), 0.0, "none"),
+    Trial(3, "temperature", "late second", (INT, INT), 0.1, "chamber hangs"),
+    Trial(4, "run_started", "single", (TERM,), 0.2, "terminal closed"),
+]
+
+
+@with_sighup
+def test_the_bench_is_left_safe_at_every_signal(monkeypatch):
+    monkeypatch.setattr(signal_campaign, "LIMIT_S", NEVER_S)
+    outcomes = worker(TRIALS)
+    assert [(outcome.trial, outcome.violations) for outcome in outcomes if outcome.violations] == []
+    assert {outcome.state for outcome in outcomes} >= {"interrupted", "failed", "finished"}
+
+
+@with_sighup
+def test_a_campaign_draws_every_phase_pattern_and_trouble():
+    trials = draw(200, 1)
+    assert {trial.phase for trial in trials} == set(PHASES)
+    assert {trial.pattern for trial in trials} == set(PATTERNS)
+    assert {trial.trouble for trial in trials} == set(TROUBLES)
+    assert {number for trial in trials for number in trial.signals} == {INT, TERM, signal.SIGHUP}
+
 
 SEED = 20261122
 
