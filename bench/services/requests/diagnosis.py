@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.base.requests import Option
-from bench.services.requests.shared import Data, Effects, OnReadings
+from bench.services.requests.shared import Data, Effects, ModelField, OnReadings
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,7 @@ class Diagnose(OnReadings):
         bool | None,
         Option("Write the page (default: for one source, not for several).", ("--report/--no-report",)),
     ] = None
-    model: Annotated[
-        str | Path | None,
-        Option("Model file: effects beside the paper's terms.", metavar="FILE", typed=Path | None),
-    ] = None
+    model: ModelField = None
     out: Annotated[
         str | Path | None,
         Option("Where to write what is derived from a file.", metavar="DIR", typed=Path | None),

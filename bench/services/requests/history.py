@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.base.requests import Option
-from bench.services.requests.shared import BenchField, Data, OnReadings, RunsField
+from bench.services.requests.shared import BenchField, Data, ModelField, OnReadings, RunsField
 
 
 @dataclass(frozen=True)
@@ -85,10 +85,7 @@ class Learn(OnReadings):
         ),
     ]
     _: KW_ONLY
-    model: Annotated[
-        str | Path | None,
-        Option("Model file: effects beside the paper's terms.", metavar="FILE", typed=Path | None),
-    ] = None
+    model: ModelField = None
     by_installation: Annotated[
         bool, Option("Each installation has mean angles of its own (brackets).", ("--by-installation",))
     ] = False

@@ -7,17 +7,21 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.base.requests import Option
-from bench.services.requests.shared import BenchField, RunsField
+from bench.services.requests.shared import (
+    BenchField,
+    GuardBandField,
+    LimitField,
+    ModelField,
+    RuleField,
+    RunsField,
+    UntilField,
+)
 
 BenchNameField = Annotated[
     str | None,
     Option("Bench file, by path or name (default: BENCH_FILE).", metavar="FILE", completes="bench_files"),
 ]
 SeedField = Annotated[int, Option("Random numbers of a dry run.", least=0)]
-ModelField = Annotated[
-    str | Path | None,
-    Option("Model file: effects beside the paper's terms.", metavar="FILE", typed=Path | None),
-]
 WireLogField = Annotated[
     Path | None, Option("Write every message to and from the instruments.", metavar="FILE")
 ]
@@ -62,28 +66,10 @@ class RunRequest(DryRunRequest):
     unit: Annotated[
         str | None, Option("Serial number of the block, in place of the bench file's.", metavar="SERIAL")
     ] = None
-    limit: Annotated[float | None, Option("Limit of |Δg| in g, in place of the bench file's.")] = None
-    rule: Annotated[
-        str | None,
-        Option(
-            "simple: |Δg| within the limit; guarded: |Δg| + w within it, w = U; non-binary: with conditional "
-            "statements (default: the bench file's, or non-binary with w at 5 % false acceptance).",
-            metavar="RULE",
-        ),
-    ] = None
-    guard_band: Annotated[
-        float | None,
-        Option(
-            "Guard band of the rule: w = R U (default: the bench file's, or that of the rule).", metavar="R"
-        ),
-    ] = None
-    until: Annotated[
-        list[str] | None,
-        Option(
-            "End when it is good enough: all=5e-5, combined:Kxx=1e-4, delta-g=1e-4, vector=7e-5, time=4h.",
-            metavar="GOALS",
-        ),
-    ] = None
+    limit: LimitField = None
+    rule: RuleField = None
+    guard_band: GuardBandField = None
+    until: UntilField = None
     wire_log: WireLogField = None
     check_block: Annotated[
         bool, Option("Hold a dry run, too, to the check block of the bench file.", ("--check-block",))

@@ -15,6 +15,7 @@ from bench.services.requests.shared import (
     ModelField,
     RuleField,
     RunsField,
+    UntilField,
 )
 
 ESTIMATORS_IN_A_BUDGET: Final = "The estimators, in a budget."
@@ -36,13 +37,7 @@ class Check:
     ]
     _: KW_ONLY
     bench: BenchField = None
-    until: Annotated[
-        list[str] | None,
-        Option(
-            "End when it is good enough: all=5e-5, combined:Kxx=1e-4, delta-g=1e-4, vector=7e-5, time=4h.",
-            metavar="GOALS",
-        ),
-    ] = None
+    until: UntilField = None
     runs: RunsField = None
 
 

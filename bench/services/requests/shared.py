@@ -66,6 +66,13 @@ GuardBandField = Annotated[
     float | None,
     Option("Guard band of the rule: w = R U (default: the bench file's, or that of the rule).", metavar="R"),
 ]
+UntilField = Annotated[
+    list[str] | None,
+    Option(
+        "End when it is good enough: all=5e-5, combined:Kxx=1e-4, delta-g=1e-4, vector=7e-5, time=4h.",
+        metavar="GOALS",
+    ),
+]
 
 
 def runs_folder(runs: str | Path | None) -> Path:
