@@ -110,7 +110,7 @@ class BenchFile(FileModel):
 
     @property
     def knows_its_meters(self) -> bool:
-        """Whether what its voltmeters can do is known here: of a recorded run's it need not be."""
+        """Whether the drivers of its voltmeters are known; those of a recorded run may be missing."""
         return not any(isinstance(meter, UnknownVoltmeter) for meter in self.instruments.voltmeters)
 
     @property
@@ -121,13 +121,13 @@ class BenchFile(FileModel):
 
     @property
     def most_samples(self) -> int:
-        """Samples that one reading may have: a multiplexer keeps those of all its channels."""
+        """Most samples of a reading; a multiplexer's memory holds those of all its channels."""
         meters = self.instruments.voltmeters
         return min(meter.kind.limits.of_channels(len(meter.channels)).most_samples for meter in meters)
 
     @property
     def least_samples(self) -> int:
-        """Samples that one reading must have, so that every voltmeter takes it."""
+        """Fewest samples of a reading that every voltmeter accepts."""
         return max(meter.kind.limits.least_samples for meter in self.instruments.voltmeters)
 
     @property
@@ -138,7 +138,7 @@ class BenchFile(FileModel):
 
     @property
     def head_backoff_rad(self) -> float:
-        """How far from an angle the head begins to come to it, within its limits too, rad; 0 by hand."""
+        """Distance from which the head approaches an angle, rad; 0 by hand."""
         head = self.instruments.head
         return head.backoff if isinstance(head, MotorisedHeadForm) else 0.0
 
@@ -177,7 +177,7 @@ class BenchFile(FileModel):
         return tuple(entry.effect() for entry in self.formulas)
 
     def nominal_block(self) -> Block:
-        """Return the block as it is announced: its nominal scale factors, nothing across, no bias."""
+        """Return the block with nominal scale factors, no cross-axis terms and no bias."""
         return Block(np.diag(self.unit_under_test.scale_factors.values), np.zeros(3))
 
     def simulated_block(self) -> Block:
@@ -194,22 +194,21 @@ def load_bench(path: Path) -> BenchFile:
 
 
 class _WithUnknownInstruments(BenchFile):
-    """A recorded bench file with instruments that nobody here knows; it was checked whole when its run began."""
+    """A recorded bench file with instruments of unknown drivers; it was checked when its run began."""
 
     instruments: RecordedInstruments
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield nothing: what is between the parts cannot be told without the instruments."""
+        """Yield nothing: without the instruments the parts cannot be checked against each other."""
         return ()
 
 
 def load_recorded_bench(path: Path) -> BenchFile:
-    """Read the bench file of a run to evaluate it, without the effects that the simulation had.
+    """Read the bench file of a run for its evaluation, without the effects of the simulation.
 
-    No evaluation knows of them, and a run may have had some that the catalogue no longer has. Of an instrument
-    that came with a plug-in which is not here the section is kept as it is written. Raises `FileMistakes` with
-    every mistake in all else.
+    Evaluations do not use these, and the catalogue may have lost some of them. The section of an instrument whose
+    plug-in is missing is kept as written. Raises `FileMistakes` with every other mistake.
     """
     document = load_document(path)
     if isinstance(document.data, dict):
@@ -219,12 +218,12 @@ def load_recorded_bench(path: Path) -> BenchFile:
 
 
 def missing_drivers(path: Path) -> list[str]:
-    """Return the drivers that a bench file names and nobody here has. Raises `FileMistakes` where it is no file."""
+    """Return the unknown drivers of a bench file. Raises `FileMistakes` where it cannot be read."""
     return unknown_drivers(_sections_of(load_document(path).data))
 
 
 def foreign_drivers(bench: BenchFile) -> dict[str, str]:
-    """Return by name where those drivers came from that are none of the bench's own."""
+    """Return the drivers that came with plug-ins, with their origins."""
     origins = {section.driver: devices().origin(section.driver) for section in bench.instruments.all()}
     return {name: origin for name, origin in origins.items() if origin}
 
@@ -240,9 +239,9 @@ _MICRO: Final = 1e-6
 
 @dataclass(frozen=True)
 class Standing:
-    """A certificate of a bench on a day: of which instrument, and the serial number that answered there.
+    """A certificate on the day of readings: of which instrument, and the serial number that answered.
 
-    `answered` is None where nobody knows it, as of readings from a file, and empty where the instrument says none.
+    `answered` is None where it is unknown, as for readings from a file, and empty where the instrument has none.
     """
 
     section: InstrumentForm
@@ -257,7 +256,7 @@ class Standing:
 
     @property
     def expired(self) -> bool:
-        """Whether the certificate counted no more on that day."""
+        """Whether the certificate had expired on that day."""
         until = self.certificate.valid_until
         return until is not None and self.day > until
 
@@ -271,7 +270,7 @@ class Standing:
 
     @property
     def correction(self) -> str:
-        """What it adds to what the instrument shows, in words; empty where that is nothing."""
+        """The correction that it adds to readings, in words; empty for none."""
         certificate = self.certificate
         if isinstance(self.section, VoltmeterForm):
             return ", ".join(self._of_the_meter(self.section))
@@ -292,7 +291,7 @@ class Standing:
             yield f"offset {values.offset.correction / _MICRO:+.4g} µV"
 
     def remarks(self) -> Iterator[str]:
-        """Yield what whoever relies on it must know, a sentence each."""
+        """Yield the caveats of the certificate, a sentence each."""
         certificate = self.certificate
         which = f"{self.instrument}: its {certificate.words}"
         if self.foreign:

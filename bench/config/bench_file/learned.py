@@ -1,4 +1,4 @@
-"""Files that are made of many runs: what they tell of one bench, and of a type of unit."""
+"""Files made from many runs: the learned file of a bench, and the prior file of a type of unit."""
 
 from __future__ import annotations
 

@@ -159,7 +159,7 @@ class UnitSupplySection(FileModel):
 
 
 LARGEST_RAD: Final = math.radians(2.0)
-"""An error of the stand has no larger limit: one in a hundred of g along a level axis is 0.6 deg."""
+"""Largest limit of a stand error: for comparison, 0.01 g along a level axis is 0.6 deg."""
 
 SizeG = Annotated[float, not_negative(ACCELERATION)]
 
@@ -194,7 +194,7 @@ def _plausible_gravity(g_m_s2: float) -> float:
 
 
 class MeasuredGravity(FileModel):
-    """A value of local gravity with who found it when, and its expanded uncertainty U = k u."""
+    """A measured value of local gravity with source, date and expanded uncertainty U = k u."""
 
     value: Annotated[AccelerationMS2, AfterValidator(_plausible_gravity)]
     source: str
@@ -224,7 +224,7 @@ Gravity = Annotated[
 class ErrorSize(FileModel):
     """Limit of an error with its distribution; a normal one needs the coverage factor k.
 
-    `dof` are the degrees of freedom of the limit, where it was found from repeats; left out, it is certain.
+    `dof` are the degrees of freedom of a limit found from repeats; by default infinite.
     """
 
     limit: float
@@ -269,9 +269,9 @@ class VoltageError(ErrorSize):
 class StandSection(FileModel):
     """The stand errors, alpha1…alpha4 and Delta U_M of the paper.
 
-    A mounting roll that is not stated counts as large as the mounting error, a mounting offset as zero.
-    `foundation` is by how much the levelled platform tilts in a day. A levelling in a run takes the place of
-    `axis_tilt` and `zero_offset` in its mounting.
+    By default the mounting roll is as large as the mounting error, and the mounting offset zero. `foundation` is
+    the tilt of the levelled platform in a day. A levelling during a run replaces `axis_tilt` and `zero_offset` in
+    its mounting.
     """
 
     axis_tilt: AngleError

@@ -36,11 +36,11 @@ Role = Literal["voltmeter", "head", "chamber", "level", "thermometer", "power_su
 
 
 class DeviceSection(FileModel):
-    """The section of an instrument in a bench file; the form of its role stands between this and it."""
+    """Base of the sections of instruments in a bench file; the forms of roles derive from it."""
 
     role: ClassVar[Role]
     by_hand: ClassVar[bool] = False
-    """Whether a person works the instrument: it has no wire, and nothing stands for it in a simulation."""
+    """Whether a person operates the instrument: it has neither a wire nor a simulation."""
     sections_of: ClassVar[Callable[[Role], Sequence[type[FileModel]]]] = staticmethod(lambda role: ())
     """The sections of all instruments of a role; the registry, which knows them, sets it."""
 
@@ -52,23 +52,23 @@ class DeviceSection(FileModel):
         return cls.sections_of(cls.role) if "role" in cls.__dict__ else ()
 
     def driver_options(self) -> dict[str, Any]:
-        """Return what its driver is given by keyword, beside what all of its role are given."""
+        """Return the keyword arguments of its driver beyond those of its role."""
         return {}
 
     def simulation_options(self, truth: Any) -> dict[str, Any]:
-        """Return what its simulation is given by keyword; `truth` is what the bench file says of its role's."""
+        """Return the keyword arguments of its simulation; `truth` is the simulation section of its role."""
         return {}
 
 
 @dataclass(frozen=True)
 class Device:
-    """An instrument, declared: a module of this folder, or of a plug-in, has it as `DEVICE`.
+    """The declaration of an instrument: the `DEVICE` of a module in this folder or of a plug-in.
 
-    `name` is what `driver` says in a bench file. `driver` and `simulation` name classes, "module:Class", a module
-    with a leading dot beside the declaration's own; one that a person works has no simulation. `example` is a
-    section as a bench file has it (of a voltmeter with one signal, that of x). `simulated` are the keys of the
-    bench file's section on its role in a simulation that its simulation heeds. `place` is where it stands among
-    those of its role when they are listed; those without one come after, by name.
+    `name` is its `driver` in bench files. `driver` and `simulation` name classes as "module:Class", where a leading
+    dot means a module beside the declaration; an instrument that a person operates has no simulation. `example` is
+    a section of a bench file (of a voltmeter with one signal: that of x). `simulated` are the keys of its role's
+    simulation section that its simulation heeds. `place` orders the instruments of a role in lists; those without
+    one follow by name.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Device:
     simulated: tuple[str, ...] = ()
     place: int = 100
     package: str = ""
-    """The package beside which modules with a leading dot are looked for; the registry sets it."""
+    """The package of modules with a leading dot; the registry sets it."""
 
     @property
     def role(self) -> Role:
@@ -145,7 +145,7 @@ def resource_on(*interfaces: Literal["TCPIP", "ASRL"], example: str) -> AfterVal
 
 @dataclass(frozen=True)
 class Port:
-    """How an instrument's wire is set up: how lines end, and how a serial port speaks where it may have one."""
+    """The setup of an instrument's wire: line ends, and the parameters of a serial port if it may have one."""
 
     read_termination: str
     write_termination: str
@@ -155,7 +155,7 @@ class Port:
 
 
 WIRE_FACTS: Final = ("READ_TERMINATION", "WRITE_TERMINATION")
-"""What the facts of an instrument with a wire must say; with a serial port `SERIAL`, too."""
+"""Names that the facts of an instrument with a wire must define; with a serial port also `SERIAL`."""
 
 
 Timeout = Annotated[
@@ -164,7 +164,7 @@ Timeout = Annotated[
 
 
 class WiredForm(DeviceSection):
-    """An instrument with a wire: where it is, how long to wait for a reply. Its `facts` say how it speaks."""
+    """An instrument with a wire: its resource and timeout; its `facts` describe the protocol."""
 
     facts: ClassVar[ModuleType]
 
@@ -177,7 +177,7 @@ class WiredForm(DeviceSection):
         return bus_place(self.resource)
 
     def port(self) -> Port:
-        """Return how its wire is set up: as its facts have it, a serial port as the section says."""
+        """Return the setup of its wire by its facts, of a serial port by the section."""
         stated = getattr(self, "serial", None)
         serial = None if stated is None else {**self.facts.SERIAL, **stated.settings()}
         tail = getattr(self.facts, "READ_TAIL", 0)
@@ -185,7 +185,7 @@ class WiredForm(DeviceSection):
 
 
 class PortSection(FileModel):
-    """How fast a serial port is; all else about it is as the maker has fixed it."""
+    """The speed of a serial port; its other parameters are fixed by the maker."""
 
     baud_rate: int
 
@@ -224,7 +224,7 @@ IdentityPattern = Annotated[str, AfterValidator(_pattern)]
 
 
 def as_stated(identity: str) -> bool:
-    """Whether the identity of a bench file is a plain name and no pattern: then a simulation has that name."""
+    """Whether the stated identity is a plain name and no pattern; a simulation then has that name."""
     return re.fullmatch(r"[\w -]+", identity) is not None
 
 

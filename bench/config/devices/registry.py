@@ -1,9 +1,9 @@
-"""The instruments there are: those of this folder, of installed distributions, of folders of the user's.
+"""The known instruments: of this folder, of installed distributions, of the user's folders.
 
-A distribution has the entry-point group `triaxial_bench.devices`, each entry a `Device` or a module with one. A
-folder is named by the environment (`BENCH_DEVICES`, several with the system's path separator) or by `--devices`,
-never by a bench file: what stands in it is run. Each module and package directly in it that has a `DEVICE` brings
-one; they import one another relatively (`from .facts import …`).
+A distribution has the entry-point group `triaxial_bench.devices`; each entry is a `Device` or a module with one.
+Folders are named by the environment (`BENCH_DEVICES`, several with the system's path separator) or by `--devices`,
+never by a bench file, since their code is executed. Each module or package directly in a folder may have a
+`DEVICE`; such modules import one another relatively (`from .facts import …`).
 """
 
 from __future__ import annotations
@@ -65,14 +65,14 @@ _HERE: Final = __name__.rpartition(".")[0]
 
 @dataclass
 class Devices:
-    """All that were found: by name each with the place it came from, and what could not be had."""
+    """The devices found, by name, with the places they came from and the problems on the way."""
 
     found: dict[str, Device] = field(default_factory=dict)
     places: dict[str, str] = field(default_factory=dict)
     doubled: dict[str, str] = field(default_factory=dict)
-    """By name the sentence about two devices that share it: neither is taken."""
+    """By name: a sentence on two devices that share it, neither of which is used."""
     troubles: list[str] = field(default_factory=list)
-    """A sentence for each module that could not be had."""
+    """A sentence for each module that could not be loaded."""
 
     def get(self, name: object) -> Device | None:
         """Return the device of a name, None where there is none."""
@@ -83,7 +83,7 @@ class Devices:
         return self._by_role[role]
 
     def adapter(self, role: Role) -> TypeAdapter[DeviceSection]:
-        """Return what validates a section of this role by its `driver`, which is known."""
+        """Return the validator of sections of this role, chosen by their known `driver`."""
         return self._adapters[role]
 
     def origin(self, name: str) -> str | None:
@@ -92,7 +92,7 @@ class Devices:
         return None if place.startswith(str(Path(__file__).parent) + os.sep) else place
 
     def why_not(self, name: object) -> str | None:
-        """Return why a name cannot be had where that is more than that nobody has it."""
+        """Return the reason why a device of this name could not be loaded; None where nothing has that name."""
         if not isinstance(name, str) or name in self.found:
             return None
         if name in self.doubled:
@@ -112,7 +112,7 @@ class Devices:
         }
 
     def add(self, device: Device, place: str) -> None:
-        """Take a device in; a name that is there already is not to be had any more."""
+        """Add a device; of two devices with the same name neither is used."""
         wrong = _wrong_declaration(device)
         if wrong:
             self.troubles.append(f"{place} is not to be used: {wrong}")
@@ -318,7 +318,7 @@ class UnknownVoltmeter(VoltmeterForm):
 
 
 class UnknownHead(HeadForm):
-    """A head of which nothing is known."""
+    """A head of an unknown driver."""
 
     model_config = KEPT
 
@@ -334,7 +334,7 @@ class UnknownChamber(ChamberForm):
 
 
 class UnknownLevel(LevelForm):
-    """A level of which nothing is known."""
+    """A level of an unknown driver."""
 
     model_config = KEPT
 
@@ -351,7 +351,7 @@ class UnknownThermometer(ThermometerForm):
 
 
 class UnknownSupply(SupplyForm):
-    """A power supply of which nothing is known."""
+    """A power supply of an unknown driver."""
 
     model_config = KEPT
 

@@ -46,18 +46,17 @@ VOLTMETER_FACTS: Final = (
 """What the facts of a voltmeter must say (see those of a 34401A); with a serial port `BAUD_RATES`, too."""
 
 DAYS_90: Final = 90.0 / 365.25
-"""The time of the shorter limits of error, years."""
+"""The validity of the 90-day limits of error, years."""
 
 
 @dataclass(frozen=True)
 class VoltmeterKind:
-    """What voltmeters of a driver can do: limits for one channel, and what no driver need know.
+    """The abilities of a driver's voltmeters: limits for one channel, and accuracy.
 
-    `over_range` is the part of a range up to which it reads. `accuracy` gives for each range the limits of error
-    of DC volts within 90 days at 23 ± 5 °C, parts of the reading and of the range; `linearity` the limits of its
-    converter's integral nonlinearity alike; `accuracy_of_year` what `accuracy` is within a year, of the ranges for
-    which that is known; `resolution`, where it is known, from an integration (NPLC) on the
-    part of the range to which it resolves.
+    `over_range` is the part of a range up to which it reads. `accuracy` gives for each range the limits of error of
+    DC volts within 90 days at 23 ± 5 °C, as parts of reading and of range; `accuracy_of_year` those within a year,
+    for the ranges where they are known; `linearity` the limits of integral nonlinearity. `resolution`, where known,
+    gives by integration time (NPLC and longer) the resolved part of the range.
     """
 
     limits: VoltmeterLimits
@@ -80,9 +79,10 @@ class VoltmeterKind:
         )
 
     def limits_after(self, years: float, range_v: float) -> tuple[float, float]:
-        """Return the limits of error on a range some time after its calibration, parts of reading and of range.
+        """Return the limits of error on a range some time after calibration, as parts of reading and of range.
 
-        Those of 90 days, then those of a year; where none are known, and after a year, they grow with the time.
+        The limits of 90 days, then those of a year; after a year, or where these are unknown, in proportion to the
+        time.
         """
         of_90_days = self.accuracy[range_v]
         if years <= DAYS_90:
@@ -98,8 +98,8 @@ CERTIFICATE: Final = "certificate"
 
 
 class VoltmeterTruth(FileModel):
-    """The simulated voltmeters: with noise or not; without errors, with some within the maker's limits of 90 days,
-    or with those that their certificates state."""
+    """The simulated voltmeters: with noise or not; without errors, with errors within the maker's limits of 90
+    days, or with the errors of their certificates."""
 
     noise: bool = True
     accuracy: Literal["90 days", "certificate"] | None = None
@@ -122,9 +122,9 @@ class SerialSection(FileModel):
 
 
 class VoltmeterForm(WiredForm):
-    """What every voltmeter is told. The range is fixed: a meter that changes it also changes its errors.
+    """The settings of every voltmeter. The range is fixed, since a meter's errors differ between ranges.
 
-    `interface` says how the meter is set, apart from the wire that carries its messages.
+    `interface` is the interface selected at the meter, independent of the wire that carries its messages.
     """
 
     role: ClassVar[Role] = "voltmeter"
@@ -149,7 +149,7 @@ class VoltmeterForm(WiredForm):
 
     @property
     def kind(self) -> VoltmeterKind:
-        """What it can do."""
+        """Its abilities."""
         return VoltmeterKind.of(self.facts)
 
     @property
@@ -205,7 +205,7 @@ class SerialPortForm(VoltmeterForm):
 
 
 def written_channels(voltmeter: Any) -> tuple[str, list[Any]] | None:
-    """Return the key under which a voltmeter as written says its signals, and these; None where it does not."""
+    """Return the key of a voltmeter's signals as written, with the signals; None without them."""
     if not isinstance(voltmeter, dict):
         return None
     for key in ("channels", "inputs"):
@@ -228,11 +228,11 @@ class HeadTruth(FileModel):
 
 
 class HeadForm(DeviceSection):
-    """What every head is told: how far the angle at a reading may be from its target."""
+    """The settings of every head: how far the angle at a reading may be from its target."""
 
     role: ClassVar[Role] = "head"
     scale_on_axis: ClassVar[bool] = False
-    """Whether what it reads sits on the axis that turns the block, with no gear or coupling between them."""
+    """Whether its scale is on the axis that turns the block, without gear or coupling between."""
 
     name: str = "head"
     tolerance: SizeRad
@@ -243,11 +243,10 @@ _NO_HEAD: Final = "expected more than nothing: no head is exact, and none turns 
 
 
 class MotorisedHeadForm(HeadForm, WiredForm):
-    """A head with a motor. It stays within `minimum` and `maximum` on its scale, also on the way.
+    """A head with a motor, which always stays within `minimum` and `maximum` on its scale.
 
-    It comes to an angle from at least `backoff` away, on the side that the procedure demands, and has arrived
-    when for the time `settle` every sample of its scale lies within `tolerance`. `speed` decides how long a
-    turn may take.
+    It approaches an angle from at least `backoff` away, from the side that the procedure demands. It has arrived
+    when every sample of its scale lies within `tolerance` for the time `settle`. `speed` limits the time of a turn.
     """
 
     tolerance: Annotated[SizeRad, above_zero(_NO_HEAD)]
@@ -270,7 +269,7 @@ class MotorisedHeadForm(HeadForm, WiredForm):
         return self
 
     def travel(self) -> dict[str, float]:
-        """Return how the head may move and when it has arrived, as its driver has it (`drivers.motion.Travel`)."""
+        """Return the limits and criteria of its motion for its driver (`drivers.motion.Travel`)."""
         return {
             "minimum_rad": self.minimum,
             "maximum_rad": self.maximum,
@@ -291,7 +290,7 @@ SizeK = Annotated[float, not_negative(DIFFERENCE)]
 RateKS = Annotated[float, not_negative(TEMPERATURE_RATE)]
 
 OF_THE_AIR: Final = ("rate", "lag", "off_lag")
-"""What the simulated world does with the air of any chamber that is simulated."""
+"""Keys that the simulated world heeds for any simulated chamber."""
 
 
 _NO_CHAMBER: Final = "expected more than nothing: no chamber is at once where it is sent, nor never"
@@ -330,9 +329,9 @@ class TemperatureRange(FileModel):
 
 
 class ChamberForm(TemperatureRange, DeviceSection):
-    """What every chamber is told: the temperatures that may be demanded.
+    """The settings of every chamber: the temperatures that may be demanded.
 
-    `certificate` is that of the thermometer by which the temperature is told.
+    `certificate` is that of its thermometer.
     """
 
     role: ClassVar[Role] = "chamber"
@@ -342,9 +341,9 @@ class ChamberForm(TemperatureRange, DeviceSection):
 
 
 class ControlledChamberForm(ChamberForm, WiredForm):
-    """A chamber with a controller; at a reading its air is within `band` of the demand, where one is stated.
+    """A chamber with a controller; at a reading its air is within the `band`, if any, around the set point.
 
-    One that has not gone a fifth of its way `slow_after` a demand is told of.
+    A warning is given if its air has not gone a fifth of the way by the time `slow_after`.
     """
 
     band: (
@@ -374,11 +373,11 @@ class LevelTruth(FileModel):
 
 
 class LevelForm(DeviceSection):
-    """What every level is told: its name. Its zero need not be known: it is read in two positions."""
+    """The settings of every level. Its zero need not be known, since it is read in two positions."""
 
     role: ClassVar[Role] = "level"
     certificate: ClassVar[None] = None
-    """Of a level none is counted: what matters of its scale at a few arcseconds is less than it reads to."""
+    """None: at a few arcseconds the error of its scale is below its resolution."""
 
     name: str = "level"
 
@@ -392,10 +391,10 @@ class ThermometerTruth(FileModel):
 
 
 class ThermometerForm(DeviceSection):
-    """What every thermometer at the block is told; what it shows is the block's temperature of each reading.
+    """The settings of every thermometer at the block; it shows the block's temperature of each reading.
 
-    `gradient` is how far the block's accelerometers may be from where it sits, ±0.2 K where it is left out. Without
-    a `certificate` it is as exact as its kind.
+    `gradient` is the largest temperature difference between thermometer and accelerometers, by default ±0.2 K.
+    Without a `certificate` the tolerance of its kind holds.
     """
 
     role: ClassVar[Role] = "thermometer"
@@ -441,29 +440,29 @@ OF_THE_UNIT: Final = tuple(SupplyTruth.model_fields)
 
 
 class SupplyForm(DeviceSection):
-    """What every power supply is told: nothing but its name. What it is set to is the unit's to say."""
+    """The settings of every power supply: its name alone; voltages and currents are in the unit's section."""
 
     role: ClassVar[Role] = "power_supply"
 
     certificate: ClassVar[None] = None
-    """No reading hangs on what it shows."""
+    """None: no reading depends on its display."""
 
     name: str = "power_supply"
 
     @property
     def limits(self) -> SupplyLimits | None:
-        """What it can do, None where nobody knows."""
+        """Its abilities; None where they are unknown."""
         raise NotImplementedError
 
 
 class WiredSupplyForm(SupplyForm, WiredForm):
-    """A power supply with a wire; `interface` says how it is set, apart from the wire that carries its messages."""
+    """A power supply with a wire; `interface` is the one selected at its front panel."""
 
     resource: Annotated[str, AfterValidator(any_resource)]
 
     @property
     def limits(self) -> SupplyLimits | None:
-        """What it can do: what its facts say of its model."""
+        """Its abilities by the facts of its model."""
         return SupplyLimits.of(self.facts, getattr(self, "model", None))
 
     def driver_options(self) -> dict[str, Any]:
