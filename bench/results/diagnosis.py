@@ -213,17 +213,14 @@ class DiagnoseResult(FoundResult):
 def found_result(found: Diagnosis) -> FoundResult:
     """Return what was found, as the result has it."""
     turned = found.linear.orientation
-    return FoundResult(
-        verdict=found.verdict,
-        where=list(found.where),
+    return FoundResult.from_object(
+        found,
         effects=[
             *map(mistake_part, found.mistakes.mistakes),
             *map(EffectPart.model_validate, found.effects),
         ],
         hidden=list(found.hidden),
         hidden_parts={name: list(parts) for name, parts in found.hidden.items() if parts},
-        absent=dict(found.absent),
-        unseen_per_turn=list(found.unseen_per_turn),
         verification_orientation=None
         if turned is None
         else OrientationPart(
@@ -240,11 +237,7 @@ def found_result(found: Diagnosis) -> FoundResult:
             kinds=list(found.noise_kinds),
             findings=[FindingPart.model_validate(one) for one in found.findings],
         ),
-        p_left=found.p_left,
         form=None if found.form is None else form_part(found.form),
-        detectable=dict(found.detectable),
-        registered=found.registered,
-        notes=list(found.notes),
     )
 
 
@@ -260,6 +253,9 @@ def diagnose_result(
     blocks = [_block_part(one) for one in full.blocks]
     return DiagnoseResult(
         **dict(found_result(diagnosis)),
+        source=full.source,
+        simulated=full.simulated,
+        skipped_rows=list(full.skipped_rows),
         next_measurement=None if proposal is None else ProposalPart.model_validate(proposal),
         model=files.model,
         simulation=SimulationsPart(
@@ -268,9 +264,6 @@ def diagnose_result(
         ),
         coefficients=shown.coefficients,
         ranking=[[_rival_part(rival) for rival in one] for one in full.ranking],
-        source=full.source,
-        simulated=full.simulated,
-        skipped_rows=list(full.skipped_rows),
         report=files.report,
         bench=bench,
         corrections=list(corrections),
@@ -294,12 +287,11 @@ def mistakes_result(
         **dict.fromkeys(("where", "hidden", "unseen_per_turn", "ranking", "skipped_rows"), ()),
         **{name: {} for name in ("hidden_parts", "absent", "detectable", "coefficients")},
     }
-    return DiagnoseResult(
+    return DiagnoseResult.from_object(
+        found,
         verdict="mistake",
         effects=[mistake_part(mistake) for mistake in found.mistakes],
         notes=[f"put right, {found.reason}"],
-        source=found.source,
-        simulated=found.simulated,
         bench=bench,
         corrections=list(corrections),
         corrected=_copy_part(files, found.mistakes, len(found.corrected), None),
@@ -308,11 +300,8 @@ def mistakes_result(
 
 
 def _simulation_part(one: Simulation) -> SimulationPart:
-    return SimulationPart(
-        chi2=one.test.chi2,
-        dof=one.test.dof,
-        p=one.test.p,
-        rms=one.test.rms,
+    return SimulationPart.from_object(
+        one.test,
         rms_of_a_simulated_run=one.repeated.lack_of_fit.rms,
         seed=SEED,
         verification_joined=one.joined,

@@ -255,50 +255,39 @@ class FormPart(ResultModel):
 
 def mistake_part(mistake: Mistake) -> EffectPart:
     """Return a mistake as results have it."""
-    return EffectPart(
-        name=mistake.name,
-        channels=list(mistake.channels),
-        cannot_tell_from=list(mistake.cannot_tell_from),
-        installations=list(mistake.installations),
+    return EffectPart.from_object(
+        mistake,
         parameters=MistakePlace(
             pass_number=mistake.pass_number,
             point=mistake.point,
             misfit_before=mistake.evidence.before,
             misfit_after=mistake.evidence.after,
         ),
-        p=mistake.p,
         p_all_looks=mistake.p,
-        words=mistake.words,
     )
 
 
 def gap_part(gap: Gap) -> GapPart:
     """Return a gap as results have it; its sizes are null where no fold counts."""
     opened = bool(gap.opened)
-    return GapPart(
+    return GapPart.from_object(
+        gap,
         before=gap.before if opened else None,
         after=gap.after if opened else None,
         floor=FLOOR,
-        closed=gap.closed,
-        shrinks=gap.shrinks,
         reason=gap.reason or None,
-        p_after=gap.p_after,
-        before_rms=gap.before_rms,
-        after_rms=gap.after_rms,
         before_rms_ug=1e6 * gap.before_rms_g,
         after_rms_ug=1e6 * gap.after_rms_g,
         expected_rms_ug=1e6 * gap.expected_rms_g,
         noise_rms=gap.noise.reading,
-        unit=gap.unit,
         held_out=[*map(_fold_part, gap.folds), *map(_undetermined_part, gap.undetermined)],
     )
 
 
 def _fold_part(fold: Fold) -> FoldPart:
-    return FoldPart(
+    return FoldPart.from_object(
+        fold,
         what=fold.label,
-        confirmable=fold.confirmable,
-        counted=fold.counted,
         left_out=None if fold.counted else fold.blind,
         named_without_it=list(fold.gains),
         before=fold.before.reduced,
@@ -317,17 +306,16 @@ def _undetermined_part(label: str) -> FoldPart:
 def form_part(form: FreeForm) -> FormPart:
     """Return the terms that describe what has no name, as results have them."""
     dark = form.dark
-    return FormPart(
+    return FormPart.from_object(
+        form,
         terms=[_term_part(term) for term in form.terms],
-        instead_of=list(form.instead_of),
-        gap=FormGapPart(
+        gap=FormGapPart.from_object(
+            form,
             before=form.before if form.counted else None,
             after=form.after if form.counted else None,
             floor=FLOOR,
-            closed=form.closed,
             before_rms=rms([fold.before[0] for fold in form.counted]),
             after_rms=rms([fold.after[0] for fold in form.counted]),
-            unit=form.unit,
             held_out=[
                 FormFoldPart(
                     what=fold.label,
@@ -339,20 +327,19 @@ def form_part(form: FreeForm) -> FormPart:
             ],
         ),
         dark_uncertainty=dark.value if dark.there else 0.0,
-        dark=DarkPart(
+        dark=DarkPart.from_object(
+            dark,
             value=dark.value if dark.there else 0.0,
             u=dark.u if dark.there else None,
             upper_95=dark.upper,
-            p=dark.p,
         ),
-        scatter=form.scatter,
-        unit=form.unit,
     )
 
 
 def _term_part(term: FormTerm) -> TermPart:
     effect = term.effect
-    return TermPart(
+    return TermPart.from_object(
+        term,
         name=effect.name,
         stage=effect.stage.value,
         adds_to=effect.adds_to or None,
@@ -367,8 +354,4 @@ def _term_part(term: FormTerm) -> TermPart:
             SizePart(parameter=name, channel=channel or None, value=value, u=u, unit=unit)
             for name, channel, value, u, unit in term.sizes()
         ],
-        family=term.family,
-        could_also_be=list(term.could_also_be),
-        rho=term.rho,
-        p=term.p,
     )

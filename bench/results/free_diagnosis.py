@@ -136,8 +136,8 @@ def free_result(
     skipped_rows: Sequence[str] = (),
 ) -> FreeDiagnoseResult:
     """Return a diagnosis with the files that were written of it, as `bench diagnose --json` writes it."""
-    return FreeDiagnoseResult(
-        verdict=found.verdict,
+    return FreeDiagnoseResult.from_object(
+        found,
         where=[FreePlace.model_validate(place) for place in found.where],
         effects=[*map(_outlier, found.apart), *map(FoundPart.model_validate, found.found)],
         next_measurement=None,
@@ -147,10 +147,6 @@ def free_result(
         noise=FreeNoise(reading=found.noise_g, unit="g", stated=found.stated_g, dof=found.freedom),
         between_records=None if found.between is None else _between(found.between),
         sensors=found.rows.sensors,
-        records=found.records,
-        threshold=found.threshold,
-        notes=list(found.notes),
-        source=found.source,
         models=list(files.models),
         report=files.report,
         corrected=FreeCopyPart(

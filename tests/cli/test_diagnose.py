@@ -1,6 +1,7 @@
 """`bench diagnose` as its user types it: find, add, show, and what the next command makes of the model."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -74,21 +75,35 @@ def test_an_effect_hidden_in_a_dry_run_is_named_added_and_the_gap_shrinks(bench)
 
 @pytest.mark.slow
 def test_readings_without_an_effect_agree_and_strict_accepts_them(bench):
-    status, out, _ = bench(
-        "diagnose", measured("null.csv", 3), "--strict", "--no-report", "--json", "null.json"
-    )
-    found = result_of("null.json")
+    # JSON alone goes to standard output, what a person reads beside it
+    status, out, told = bench("diagnose", measured("null.csv", 3), "--strict", "--no-report", "--json", "-")
+    found = json.loads(out, parse_constant=refuse)
     assert (status, found["verdict"], found["effects"], found["model"]) == (0, "agrees", [], None)
-    assert "NOTHING FOUND" in out
-    assert "quadratic_nonlinearity" in out  # the smallest size that would have shown
+    assert "NOTHING FOUND" in told
+    assert "quadratic_nonlinearity" in told  # the smallest size that would have shown
     assert "voltmeter_gain" in found["hidden"]
     assert found["simulation"]["after"] is None
 
 
+@pytest.fixture(scope="module")
+def day_before(tmp_path_factory):
+    """A folder with readings of a block with a K2, and what was found in them."""
+    folder = tmp_path_factory.mktemp("first")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.delenv("BENCH_FILE", raising=False)
+        program.diagnose(measured("first.csv", 4, K2=(0, 100e-6, 0)), write=True, report=False)
+    return folder
+
+
+@pytest.fixture
+def first(bench, day_before):
+    shutil.copytree(day_before, ".", dirs_exist_ok=True)
+    return "first.csv"
+
+
 @pytest.mark.slow
-def test_a_model_of_one_day_serves_on_another_and_is_never_overwritten(bench):
-    first = measured("first.csv", 4, K2=(0, 100e-6, 0))
-    assert bench("diagnose", first, "--no-report")[0] == 0
+def test_a_model_of_one_day_serves_on_another_and_is_never_overwritten(bench, first):
     written = Path("diagnose/first-model.yaml").read_bytes()
     assert bench("diagnose", first, "--no-report", "--strict")[0] == 1
     assert Path("diagnose/first-model.yaml").read_bytes() == written
@@ -109,9 +124,7 @@ def test_a_model_of_one_day_serves_on_another_and_is_never_overwritten(bench):
 
 
 @pytest.mark.slow
-def test_a_child_has_the_effects_of_its_parent_and_what_was_found_beside_them(bench):
-    first = measured("first.csv", 4, K2=(0, 100e-6, 0))
-    assert bench("diagnose", first, "--no-report")[0] == 0
+def test_a_child_has_the_effects_of_its_parent_and_what_was_found_beside_them(bench, first):
     parent = load_model(Path("diagnose/first-model.yaml"))
     second = measured("second.csv", 5, K2=(0, 100e-6, 0), drift_v_per_h=(3e-4, 0, 0))
     model = "diagnose/first-model.yaml"
@@ -146,13 +159,18 @@ def test_what_the_data_cannot_tell_is_added_only_when_asked(bench):
 
 
 @pytest.mark.slow
-def test_several_sources_keep_their_order(bench):
-    names = [measured("b.csv", 3), measured("a.csv", 5, K2=(0, 100e-6, 0)), measured("c.csv", 8)]
-    assert bench("diagnose", *names, "--json", "all.json")[0] == 0
+def test_several_sources_keep_their_order_and_rows_that_were_left_out_are_named_for_each(bench):
+    names = [measured("b.csv", 3), measured("a.csv", 5, K2=(0, 100e-6, 0))]
+    lines = Path("b.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    lines[5] = lines[5].replace("1,1,5", "1,1,nan", 1)
+    Path("b.csv").write_text("".join(lines), encoding="utf-8")
+    status, out, _ = bench("diagnose", *names, "--skip-bad-rows", "--json", "all.json")
+    assert status == 0
+    assert "left out: b.csv, line 6, column point" in " ".join(out.split())
     found = result_of("all.json")
     assert [f["source"] for f in found] == names
-    assert [f["verdict"] for f in found] == ["agrees", "named", "agrees"]
-    assert [f["report"] for f in found] == [None] * 3
+    assert [f["verdict"] for f in found] == ["agrees", "named"]
+    assert [f["report"] for f in found] == [None] * 2
 
 
 @pytest.mark.slow
@@ -223,12 +241,6 @@ def test_the_copy_of_a_run_tells_where_it_comes_from(bench):
     status, out, _ = bench("calibrate", copy, "--json", "c.json")
     assert status == 0
     assert "mistakes put right: installation" in out
-
-
-@pytest.mark.slow
-def test_json_alone_goes_to_standard_output(bench):
-    status, out, _ = bench("diagnose", measured("null.csv", 3), "--no-report", "--json", "-")
-    assert (status, json.loads(out, parse_constant=refuse)["verdict"]) == (0, "agrees")
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """What has no name gets a form: terms of the dictionary, sizes, prediction, where it scatters, what stays dark.
 
-The readings come from a geometry of the tests' own, and so do the forms that are hidden in them.
-"""
+The readings come from a geometry of the tests' own, and so do the forms that are hidden in them."""
 
 from dataclasses import replace
 
@@ -11,14 +10,15 @@ import pytest
 from bench.config.formulas import effects_as_written, written_formulas
 from bench.diagnosis import Threshold
 from bench.diagnosis.linear import make_linear
+from bench.diagnosis.naming import Found, Naming
 from bench.diagnosis.noise_grid import RATIOS, Repeats, noise_of_repeats
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.residual_dictionary import make_dictionary
-from bench.diagnosis.residual_model import Dark, Setting, describe
+from bench.diagnosis.residual_model import Dark, Setting, describe, unnamed_in_place
 from bench.model import AppliedEffect, Stage
 from bench.results.diagnosis_parts import form_part
-from tests.support.diagnosis_bench import MODEL, NOISE_V, paper_run
-from tests.support.paper_bench import SETTING_U_RAD, STAND_U, K
+from tests.support.diagnosis_bench import MODEL, NOISE_V, paper_run, set_up
+from tests.support.paper_bench import SETTING_U_RAD, STAND_U, U0, K
 
 LIMIT = Threshold(1.5, 0.006, 0.0, 0.05, 1.0, 2000)
 """About what 2,000 simulated runs of this procedure give."""
@@ -151,3 +151,43 @@ def test_what_stays_dark_has_its_own_u_and_a_limit():
     # smaller than the repeats by chance: no smaller limit for it
     assert Dark.of(NoiseSize(9e-6, 16e-6, 150), repeats).upper > 2e-6
     assert Dark.of(NoiseSize(9e-6, 16e-6, 70), repeats).upper == np.inf
+
+
+# --- a name is none where something without a name explains the readings as well: in its place, or beside it ----
+
+
+def suspects(volts_of, family, channels=None):
+    """Which of the finds a form may replace; `volts_of` says by run and force (n, 3) what is hidden in the run."""
+    run = paper_run(np.random.default_rng(17))
+    force = np.linalg.solve(K, (run.signal - U0).T).T
+    ready = set_up(replace(run, signal=run.signal + volts_of(run, force)))
+    variant = next(
+        v
+        for v in ready.candidates.variants
+        if v.family == family and (channels is None or v.channels == channels)
+    )
+    naming = Naming((Found(variant, 0.0, 0.0, 0.0),), -1.0)
+    data = ready.whitened.reduce(ready.linear.response[:, None])
+    return unnamed_in_place(ready.linear, ready.whitened, data, naming, (), SETTING_U_RAD)
+
+
+def in_z(course):
+    return course[:, None] * np.array([0.0, 0.0, K[2, 2]])
+
+
+@pytest.mark.slow
+def test_a_square_is_a_square():
+    assert suspects(lambda _, a: in_z(60e-6 * a[:, 2] ** 2), "quadratic_nonlinearity", (2,)) == ()
+
+
+@pytest.mark.slow
+def test_a_fourth_power_is_none():
+    assert suspects(lambda _, a: in_z(150e-6 * a[:, 2] ** 4), "quadratic_nonlinearity", (2,)) == (0,)
+
+
+@pytest.mark.slow
+def test_what_is_left_beside_a_name_speaks_against_it():
+    def hidden(run, a):
+        return in_z(60e-6 * a[:, 2] ** 2 + 60e-6 * np.sin(run.angle_rad / 2))
+
+    assert suspects(hidden, "quadratic_nonlinearity", (2,)) == (0,)

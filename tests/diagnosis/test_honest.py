@@ -105,7 +105,6 @@ def diagnosed(readings, model=MODEL):
 @pytest.mark.slow
 def test_readings_without_times_say_so():
     readings = paper_run(np.random.default_rng(3))
-    assert diagnosed(readings).notes == ()
     (note,) = diagnosed(replace(readings, time_s=np.full(len(readings), np.nan))).notes
     assert "no times in the readings: 2 min a setting and 20 min for a remount" in note
 
@@ -139,6 +138,7 @@ def with_references(table, *stated):
 def test_a_reference_whose_value_nobody_stated_shows_no_gain():
     plain = paper_run(np.random.default_rng(3))
     known, unknown = diagnosed(with_references(plain, "2", "-2")), diagnosed(with_references(plain, "", ""))
+    assert not any("no times" in note for note in known.notes)
     # 100 ppm is what the reference itself is known to: some hundreds of ppm are found, which is 10 plausible sizes
     assert 3 < known.detectable["voltmeter_gain"] < 30
     assert "voltmeter_gain" not in known.hidden
@@ -181,18 +181,6 @@ def test_a_model_of_another_block_is_told_and_the_page_is_written(bench):
     # what the model has is no effect that could never show
     assert "quadratic_nonlinearity" not in found["hidden"]
     assert "voltmeter_gain" in found["hidden"]
-
-
-@pytest.mark.slow
-def test_rows_that_were_left_out_are_named_for_each_of_several(bench):
-    text = Path(measured("a.csv")).read_text(encoding="utf-8")
-    lines = text.splitlines(keepends=True)
-    measured("b.csv", K2=(0, 1e-4, 0))
-    lines[5] = lines[5].replace("1,1,5", "1,1,nan", 1)
-    Path("a.csv").write_text("".join(lines), encoding="utf-8")
-    status, out, _ = bench("diagnose", "a.csv", "b.csv", "--skip-bad-rows")
-    assert status == 0
-    assert "left out: a.csv, line 6, column point" in " ".join(out.split())
 
 
 def test_a_file_where_the_folder_should_be_is_told_before_the_work(bench):
