@@ -25,7 +25,7 @@ from bench.calibration import calibrate
 from bench.config.procedure.steps import Level as LevelStep
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
-from bench.readings.corrected import Seen, with_levels
+from bench.readings.corrected import LevelReading, with_levels
 from bench.readings.table import make_readings
 from bench.run.instruments import Instruments
 from bench.run.workbench import Levelling
@@ -131,7 +131,7 @@ def calibrations(k: int, u_level: Floats, seed: int = 2) -> tuple[Floats, Floats
     told = (angles[:, :2] + rng.normal(0.0, u_level, (2, 2))) / ARCSEC
     u = (float(u_level[0] / ARCSEC), float(u_level[1] / ARCSEC))
     seen = [
-        Seen(0.0, (1, label), True, (float(t[0]), float(t[1])), u)
+        LevelReading(0.0, (1, label), True, (float(t[0]), float(t[1])), u)
         for label, t in zip("12", told, strict=True)
     ]
     truth = np.concatenate([K.ravel(), U0])

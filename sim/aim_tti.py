@@ -19,7 +19,7 @@ from sim.wires.session import LineEnds, PlainDialect
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sim.world.power import Stage
+    from sim.world.power import OutputPhase
     from sim.world.world import World
 
 _COMMAND: Final = re.compile(
@@ -47,7 +47,7 @@ class _Refused(Exception):
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Command:
     """A command in its parts: `V1O?` is of the name V, the output 1, the kind O, and asks."""
 
     name: str
@@ -85,22 +85,22 @@ class AimTti(PlainDialect):
         self._stored: dict[tuple[str, int], tuple[float, float]] = {}
         self._told_trips: set[str] = set()
         self._outputs = Outputs(world, self._limits, self._preset, self.power_cycle)
-        self._of_output: dict[str, Callable[[_Told, Stage], str | None]] = {
+        self._of_output: dict[str, Callable[[_Command, OutputPhase], str | None]] = {
             "V": self._voltage, "I": self._current, "OVP": self._over_voltage, "OCP": self._over_current,
             "OP": self._switch, "LSR": self._limit_events, "IRANGE": self._range, "SAV": self._save,
-            "RCL": self._recall, "DAMPING": lambda told, stage: None,
+            "RCL": self._recall, "DAMPING": lambda command, stage: None,
             **dict.fromkeys(("DELTAV", "DELTAI"), self._step),
             **dict.fromkeys(("INCV", "INCI", "DECV", "DECI"), self._count),
         }  # fmt: skip
-        self._of_supply: dict[str, Callable[[_Told], str | None]] = {
-            "OPALL": self._switch_all, "CONFIG": self._configure, "TRIPRST": lambda told: self._reset_trips(),
-            "LOCAL": lambda told: None, "IFLOCK": self._lock, "IFUNLOCK": lambda told: self._unlock(),
-            "EER": lambda told: self._take_error(), "QER": lambda told: "0",
-            "*ESR": lambda told: self._take_event(),
-            "*STB": lambda told: "0", "*IDN": lambda told: facts.IDENTITY.format(model=self.model),
-            "*OPC": lambda told: "1" if told.asks else None, "*TST": lambda told: "0", "*WAI": lambda told: None,
-            "*CLS": lambda told: self._clear(), "*RST": lambda told: self._outputs.reset(),
-            **dict.fromkeys(_ADDRESSES, lambda told: _ADDRESSES[told.name]),
+        self._of_supply: dict[str, Callable[[_Command], str | None]] = {
+            "OPALL": self._switch_all, "CONFIG": self._configure, "TRIPRST": lambda _: self._reset_trips(),
+            "LOCAL": lambda _: None, "IFLOCK": self._lock, "IFUNLOCK": lambda _: self._unlock(),
+            "EER": lambda _: self._take_error(), "QER": lambda _: "0",
+            "*ESR": lambda _: self._take_event(),
+            "*STB": lambda _: "0", "*IDN": lambda _: facts.IDENTITY.format(model=self.model),
+            "*OPC": lambda command: "1" if command.asks else None, "*TST": lambda _: "0", "*WAI": lambda _: None,
+            "*CLS": lambda _: self._clear(), "*RST": lambda _: self._outputs.reset(),
+            **dict.fromkeys(_ADDRESSES, lambda command: _ADDRESSES[command.name]),
         }  # fmt: skip
 
     # --- what the wire and the bench do -------------------------------------------------------------
@@ -143,19 +143,19 @@ class AimTti(PlainDialect):
         try:
             if match is None:
                 raise _Refused(facts.COMMAND_ERROR)
-            told = _Told(
+            command = _Command(
                 match["name"],
                 match["output"] or "",
                 match["kind"] or "",
                 bool(match["ask"]),
                 match["number"] or "",
             )
-            if told.output and told.name in self._of_output:
-                if told.output not in self._outputs.names:
+            if command.output and command.name in self._of_output:
+                if command.output not in self._outputs.names:
                     raise _Refused(facts.EXECUTION_ERROR, _NO_OUTPUT)
-                return self._of_output[told.name](told, self._outputs.stage(told.output))
-            if not told.output and told.name in self._of_supply:
-                return self._of_supply[told.name](told)
+                return self._of_output[command.name](command, self._outputs.stage(command.output))
+            if not command.output and command.name in self._of_supply:
+                return self._of_supply[command.name](command)
             raise _Refused(facts.COMMAND_ERROR)
         except _Refused as refusal:
             self._event |= refusal.bit
@@ -164,135 +164,139 @@ class AimTti(PlainDialect):
 
     # --- an output ----------------------------------------------------------------------------------
 
-    def _voltage(self, told: _Told, stage: Stage) -> str | None:
+    def _voltage(self, command: _Command, stage: OutputPhase) -> str | None:
         """V1 5, V1V 5 (with verify), V1?, V1O?."""
-        if told.asks and told.kind == "O":
-            return f"{self._outputs.shown(told.output).voltage_v:.3f}V"
-        if told.asks:
-            return f"V{told.output} {stage.set_v:.3f}"
-        self._outputs.change(told.output, set_v=self._within(told, "voltage_v"))
+        if command.asks and command.kind == "O":
+            return f"{self._outputs.shown(command.output).voltage_v:.3f}V"
+        if command.asks:
+            return f"V{command.output} {stage.set_v:.3f}"
+        self._outputs.change(command.output, set_v=self._within(command, "voltage_v"))
         return None
 
-    def _current(self, told: _Told, stage: Stage) -> str | None:
+    def _current(self, command: _Command, stage: OutputPhase) -> str | None:
         """I1 0.5, I1?, I1O?."""
-        if told.asks and told.kind == "O":
-            return f"{self._outputs.shown(told.output).current_a:.3f}A"
-        if told.asks:
-            return f"I{told.output} {stage.limit_a:.3f}"
-        wanted_a = self._within(told, "current_a")
-        if told.output in self._low_range and wanted_a > _LOW_RANGE_A:
+        if command.asks and command.kind == "O":
+            return f"{self._outputs.shown(command.output).current_a:.3f}A"
+        if command.asks:
+            return f"I{command.output} {stage.limit_a:.3f}"
+        wanted_a = self._within(command, "current_a")
+        if command.output in self._low_range and wanted_a > _LOW_RANGE_A:
             raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
-        self._outputs.change(told.output, limit_a=wanted_a)
+        self._outputs.change(command.output, limit_a=wanted_a)
         return None
 
-    def _over_voltage(self, told: _Told, stage: Stage) -> str | None:
-        if "over_voltage_v" not in self._limits[told.output]:
+    def _over_voltage(self, command: _Command, stage: OutputPhase) -> str | None:
+        if "over_voltage_v" not in self._limits[command.output]:
             raise _Refused(facts.COMMAND_ERROR)
-        if told.asks:
-            return f"VP{told.output} {stage.trip_v or 0.0:.2f}"
-        self._outputs.change(told.output, trip_v=self._within(told, "over_voltage_v"))
+        if command.asks:
+            return f"VP{command.output} {stage.trip_v or 0.0:.2f}"
+        self._outputs.change(command.output, trip_v=self._within(command, "over_voltage_v"))
         return None
 
-    def _over_current(self, told: _Told, stage: Stage) -> str | None:
-        if "over_voltage_v" not in self._limits[told.output]:
+    def _over_current(self, command: _Command, stage: OutputPhase) -> str | None:
+        if "over_voltage_v" not in self._limits[command.output]:
             raise _Refused(facts.COMMAND_ERROR)
-        highest_a = _OF_HIGHEST * self._limits[told.output]["current_a"][1]
-        if told.asks:
-            return f"CP{told.output} {highest_a:.2f}"
-        if told.number < highest_a - 1e-9:
+        highest_a = _OF_HIGHEST * self._limits[command.output]["current_a"][1]
+        if command.asks:
+            return f"CP{command.output} {highest_a:.2f}"
+        if command.number < highest_a - 1e-9:
             raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
         return None
 
-    def _switch(self, told: _Told, stage: Stage) -> str | None:
-        if told.asks:
+    def _switch(self, command: _Command, stage: OutputPhase) -> str | None:
+        if command.asks:
             return str(int(stage.on))
-        self._outputs.switch(told.output, told.flag)
+        self._outputs.switch(command.output, command.flag)
         return None
 
-    def _limit_events(self, told: _Told, stage: Stage) -> str:
+    def _limit_events(self, command: _Command, stage: OutputPhase) -> str:
         """Answer how an output regulates, and what has tripped since that was last asked."""
         if stage.on:
-            self._told_trips.discard(told.output)
-            limits = self._outputs.shown(told.output).limiting
+            self._told_trips.discard(command.output)
+            limits = self._outputs.shown(command.output).limiting
             return str(facts.LIMITING if limits else facts.REGULATING)
-        if stage.tripped is None or told.output in self._told_trips:
+        if stage.tripped is None or command.output in self._told_trips:
             return "0"
-        self._told_trips.add(told.output)
+        self._told_trips.add(command.output)
         return str(facts.OVER_VOLTAGE if stage.tripped == "voltage" else facts.OVER_CURRENT)
 
-    def _range(self, told: _Told, stage: Stage) -> str | None:
+    def _range(self, command: _Command, stage: OutputPhase) -> str | None:
         """IRANGE1 1 is the low range, 2 the high one; not while the output is on."""
-        if told.asks:
-            return "1" if told.output in self._low_range else "2"
-        if told.number not in (1.0, 2.0):
+        if command.asks:
+            return "1" if command.output in self._low_range else "2"
+        if command.number not in (1.0, 2.0):
             raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
         if stage.on:
             raise _Refused(facts.EXECUTION_ERROR, _WHILE_ON)
-        if told.number == 1.0:
-            self._low_range.add(told.output)
-            self._outputs.change(told.output, limit_a=min(stage.limit_a, _LOW_RANGE_A))
+        if command.number == 1.0:
+            self._low_range.add(command.output)
+            self._outputs.change(command.output, limit_a=min(stage.limit_a, _LOW_RANGE_A))
         else:
-            self._low_range.discard(told.output)
+            self._low_range.discard(command.output)
         return None
 
-    def _step(self, told: _Told, stage: Stage) -> str | None:
+    def _step(self, command: _Command, stage: OutputPhase) -> str | None:
         """DELTAV1 0.1 sets the step of INCV1 and DECV1."""
-        what = told.name[-1]
-        if told.asks:
-            return f"{told.name}{told.output} {self._steps.get((what, told.output), _STEPS[what]):.3f}"
-        self._steps[what, told.output] = told.number
+        what = command.name[-1]
+        if command.asks:
+            return (
+                f"{command.name}{command.output} {self._steps.get((what, command.output), _STEPS[what]):.3f}"
+            )
+        self._steps[what, command.output] = command.number
         return None
 
-    def _count(self, told: _Told, stage: Stage) -> None:
-        what = told.name[-1]
-        step = self._steps.get((what, told.output), _STEPS[what]) * (1 if told.name.startswith("INC") else -1)
+    def _count(self, command: _Command, stage: OutputPhase) -> None:
+        what = command.name[-1]
+        step = self._steps.get((what, command.output), _STEPS[what]) * (
+            1 if command.name.startswith("INC") else -1
+        )
         wanted = (stage.set_v if what == "V" else stage.limit_a) + step
         {"V": self._voltage, "I": self._current}[what](
-            _Told(what, told.output, "", False, f"{wanted:.4f}"), stage
+            _Command(what, command.output, "", False, f"{wanted:.4f}"), stage
         )
 
-    def _save(self, told: _Told, stage: Stage) -> None:
-        self._stored[told.output, self._store(told)] = (stage.set_v, stage.limit_a)
+    def _save(self, command: _Command, stage: OutputPhase) -> None:
+        self._stored[command.output, self._store(command)] = (stage.set_v, stage.limit_a)
 
-    def _recall(self, told: _Told, stage: Stage) -> None:
-        stored = self._stored.get((told.output, self._store(told)))
+    def _recall(self, command: _Command, stage: OutputPhase) -> None:
+        stored = self._stored.get((command.output, self._store(command)))
         if stored is None:
             raise _Refused(facts.EXECUTION_ERROR, _EMPTY_STORE)
-        self._outputs.change(told.output, set_v=stored[0], limit_a=stored[1])
+        self._outputs.change(command.output, set_v=stored[0], limit_a=stored[1])
 
     @staticmethod
-    def _store(told: _Told) -> int:
-        if told.number not in range(_STORES):
+    def _store(command: _Command) -> int:
+        if command.number not in range(_STORES):
             raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
-        return round(told.number)
+        return round(command.number)
 
-    def _within(self, told: _Told, what: str) -> float:
-        low, high = self._limits[told.output][what]
-        if not low <= told.number <= high:
+    def _within(self, command: _Command, what: str) -> float:
+        low, high = self._limits[command.output][what]
+        if not low <= command.number <= high:
             raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
-        return told.number
+        return command.number
 
     # --- the supply ---------------------------------------------------------------------------------
 
-    def _switch_all(self, told: _Told) -> None:
+    def _switch_all(self, command: _Command) -> None:
         for name in self._outputs.names:
-            self._outputs.switch(name, told.flag)
+            self._outputs.switch(name, command.flag)
 
-    def _configure(self, told: _Told) -> str | None:
-        if told.asks:
+    def _configure(self, command: _Command) -> str | None:
+        if command.asks:
             return str(self._config)
-        if told.number not in (0.0, 2.0):
+        if command.number not in (0.0, 2.0):
             raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
-        self._config = round(told.number)
+        self._config = round(command.number)
         return None
 
     def _reset_trips(self) -> None:
         self._outputs.clear_trips()
         self._told_trips.clear()
 
-    def _lock(self, told: _Told) -> str:
+    def _lock(self, command: _Command) -> str:
         """IFLOCK takes the lock and answers 1, as it does when it is asked whether one has it."""
-        self._locked |= not told.asks
+        self._locked |= not command.asks
         return str(int(self._locked))
 
     def _unlock(self) -> str:

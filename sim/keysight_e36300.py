@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from sim.scpi_values import CommandParameter, Value
-    from sim.world.power import Stage
+    from sim.world.power import OutputPhase
     from sim.world.world import World
 
 _LONGEST_DELAY_S: Final = 3600.0
@@ -99,7 +99,7 @@ class KeysightE36300(KeysightSupply):
         self,
         notation: str,
         set_one: Callable[[str, Value], None],
-        get: Callable[[Stage], float],
+        get: Callable[[OutputPhase], float],
         parameter: CommandParameter,
     ) -> tuple[Command, Command]:
         """Return the command that sets something of outputs, and the one that asks for it."""

@@ -13,7 +13,7 @@ from sim.scpi_values import DEF, MAX, MIN, Number, Text, Value, quoted, within
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from sim.world.power import Shown, Stage
+    from sim.world.power import OutputPhase, OutputReading
     from sim.world.world import World
 
 
@@ -58,11 +58,11 @@ class Outputs:
         low, high = sorted((float(value) for value in self.limits[name][what]), key=abs)
         return low, high
 
-    def stage(self, name: str) -> Stage:
+    def stage(self, name: str) -> OutputPhase:
         """Return how an output is set and switched now."""
         return self._world.power.stage(name, self._now_s)
 
-    def shown(self, name: str) -> Shown:
+    def shown(self, name: str) -> OutputReading:
         """Return what an output gives now, as the supply measures it: in its steps."""
         shown, limits = self._world.power.shown(name, self._now_s), self.limits[name]
         return replace(

@@ -120,7 +120,7 @@ REFUTED: Final = 3.0
 
 
 @dataclass(frozen=True)
-class Seen:
+class LevelReading:
     """What the level showed at a bench time: α1 and α2 with their u, arcsec; `levelled` just before it."""
 
     time_s: float
@@ -130,9 +130,11 @@ class Seen:
     u_arcsec: tuple[float, float]
 
 
-def with_levels(readings: Readings, seen: Sequence[Seen]) -> Readings:
-    """Return the readings with the columns of what was seen, in the order of time; as they are for nothing seen."""
-    found = {mounting: of for mounting in {s.mounting for s in seen} if (of := _course(seen, mounting))}
+def with_levels(readings: Readings, seen: Sequence[LevelReading]) -> Readings:
+    """Return the readings with columns of these level readings, in the order of time; unchanged without any."""
+    found = {
+        mounting: of for mounting in {s.mounting for s in seen} if (of := _mounting_level(seen, mounting))
+    }
     if not found:
         return readings
     drifts = [of.drift for of in found.values() if of.drift is not None]
@@ -148,7 +150,7 @@ def with_levels(readings: Readings, seen: Sequence[Seen]) -> Readings:
 
 
 @dataclass(frozen=True)
-class _Course:
+class _MountingLevel:
     """α1, α2 and their u in the middle of a mounting, arcsec; how fast they moved, arcsec/h, root mean square."""
 
     alpha: tuple[float, float]
@@ -156,8 +158,8 @@ class _Course:
     drift: tuple[float, float] | None = None
 
 
-def _course(seen: Sequence[Seen], mounting: tuple[int, str]) -> _Course | None:
-    """Return what is known of the platform in a mounting; None where it was not levelled for it."""
+def _mounting_level(seen: Sequence[LevelReading], mounting: tuple[int, str]) -> _MountingLevel | None:
+    """Return the level of the platform in a mounting; None where it was not levelled for it."""
     own = [s for s in seen if s.mounting == mounting]
     last = max((k for k, s in enumerate(own) if s.levelled), default=None)
     if last is None:
@@ -165,15 +167,19 @@ def _course(seen: Sequence[Seen], mounting: tuple[int, str]) -> _Course | None:
     first, again = own[last], own[-1]
     hours = (again.time_s - first.time_s) / HOUR
     if again is first or hours <= 0.0:
-        return _Course(first.alpha_arcsec, first.u_arcsec)
+        return _MountingLevel(first.alpha_arcsec, first.u_arcsec)
     along, across = (
-        _line((first.alpha_arcsec[k], again.alpha_arcsec[k]), (first.u_arcsec[k], again.u_arcsec[k]), hours)
+        _middle_and_rate(
+            (first.alpha_arcsec[k], again.alpha_arcsec[k]), (first.u_arcsec[k], again.u_arcsec[k]), hours
+        )
         for k in (0, 1)
     )
-    return _Course((along[0], across[0]), (along[1], across[1]), (along[2], across[2]))
+    return _MountingLevel((along[0], across[0]), (along[1], across[1]), (along[2], across[2]))
 
 
-def _line(alpha: tuple[float, float], u: tuple[float, float], hours: float) -> tuple[float, float, float]:
+def _middle_and_rate(
+    alpha: tuple[float, float], u: tuple[float, float], hours: float
+) -> tuple[float, float, float]:
     """Return an angle in the middle between two readings of it, its u, and the root mean square of its rate.
 
     It goes straight from one to the other. Of its rate it is known before that no foundation moves more than

@@ -18,7 +18,7 @@ import platformdirs
 from bench.base.computing import uncollected
 from bench.base.files import read_json, read_regular
 from bench.config.procedure.plan import Plan, Read
-from bench.readings.corrected import Seen, with_levels
+from bench.readings.corrected import LevelReading, with_levels
 from bench.readings.reading import readings_of
 from bench.readings.table import VERIFICATION, Readings
 from bench.run.events import EVENTS, MANIFEST, Manifest, RecordError, RunState, read_manifest, sha256
@@ -128,9 +128,9 @@ class Run:
             notes=self._unfinished_note(len(taken)),
         )
 
-    def _seen_by_level(self) -> list[Seen]:
+    def _seen_by_level(self) -> list[LevelReading]:
         return [
-            Seen(
+            LevelReading(
                 bench_s,
                 (one.level_series, one.level_of),
                 one.adjusted,

@@ -73,7 +73,7 @@ class Disturbance:
 
 
 @dataclass(frozen=True)
-class Stage:
+class OutputPhase:
     """An output from `since_s` on: switched on or not (`on_since_s`), set to V, limited to A, protected.
 
     It trips at `trip_v`, and where `trip_after_s` is not None when its current is limited for so long. The rest
@@ -96,7 +96,7 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Shown:
+class OutputReading:
     """What is at the terminals of an output: V, A, and whether the current is limited."""
 
     voltage_v: float
@@ -128,14 +128,14 @@ def dead_v(settings: PowerSettings, numbers: KeyedNumbers, channel: str, time_s:
 
 @dataclass
 class _Output:
-    stages: list[Stage]
+    stages: list[OutputPhase]
     rails: tuple[Rail, ...] = field(default=())
 
     @property
-    def last(self) -> Stage:
+    def last(self) -> OutputPhase:
         return self.stages[-1]
 
-    def at(self, time_s: float) -> Stage:
+    def at(self, time_s: float) -> OutputPhase:
         index = bisect_right(self.stages, time_s, key=lambda stage: stage.since_s) - 1
         return self.stages[max(0, index)]
 
@@ -211,13 +211,13 @@ class Power:
         """Return the outputs that feed a rail."""
         return tuple(name for name, output in self._outputs.items() if output.rails)
 
-    def stage(self, output: str, now_s: float) -> Stage:
+    def stage(self, output: str, now_s: float) -> OutputPhase:
         """Return how an output is now."""
         with self._lock:
             self.advance(now_s)
             return self._output(output).last
 
-    def shown(self, output: str, now_s: float) -> Shown:
+    def shown(self, output: str, now_s: float) -> OutputReading:
         """Return what is at the terminals of an output now."""
         with self._lock:
             stage = self.stage(output, now_s)
@@ -362,9 +362,9 @@ class Power:
             return 0.0
         return abs(self._rail_v(rail, time_s)) * self._conductance(rail, stage, time_s)
 
-    def _shown(self, output: _Output, stage: Stage, time_s: float) -> Shown:
+    def _shown(self, output: _Output, stage: OutputPhase, time_s: float) -> OutputReading:
         if not stage.on:
-            return Shown(0.0, 0.0, limiting=False)
+            return OutputReading(0.0, 0.0, limiting=False)
         gone_v = stage.offset_v + stage.drift_v_s * (time_s - stage.since_s)
         open_v = (stage.set_v + gone_v) * (1.0 - stage.sag)
         conductance = (
@@ -372,10 +372,10 @@ class Power:
         )
         current_a = abs(open_v) * conductance
         if current_a <= stage.limit_a:
-            return Shown(open_v, current_a, limiting=False)
-        return Shown(math.copysign(stage.limit_a / conductance, open_v), stage.limit_a, limiting=True)
+            return OutputReading(open_v, current_a, limiting=False)
+        return OutputReading(math.copysign(stage.limit_a / conductance, open_v), stage.limit_a, limiting=True)
 
-    def _conductance(self, rail: Rail, stage: Stage, time_s: float) -> float:
+    def _conductance(self, rail: Rail, stage: OutputPhase, time_s: float) -> float:
         """Return what a rail takes at a time, A/V: more when it is warm, and when it was just switched on."""
         settings = self.settings
         warm = 1.0 + settings.current_by_temperature * (self._block_c(time_s) - REFERENCE_C)
@@ -387,7 +387,7 @@ class Power:
 
     def _output(self, name: str) -> _Output:
         if name not in self._outputs:
-            self._outputs[name] = _Output([Stage(self._reached_s)])
+            self._outputs[name] = _Output([OutputPhase(self._reached_s)])
         return self._outputs[name]
 
     def _change(self, name: str, now_s: float, **changes: object) -> None:

@@ -25,7 +25,7 @@ from bench.readings.columns import (
     ranges_in_words,
     voltage_column,
 )
-from bench.readings.corrected import FOUNDATION_ARCSEC_H, Seen, with_levels
+from bench.readings.corrected import FOUNDATION_ARCSEC_H, LevelReading, with_levels
 from bench.readings.csv import ReadingsError, format_csv, read_csv, write_csv
 from bench.readings.reading import Reading, readings_of
 from bench.readings.table import make_readings
@@ -97,7 +97,7 @@ def table():
 
 
 def seen(time_s, label, alpha, u=(0.5, 2.0), *, levelled=True):
-    return Seen(time_s, (1, label), levelled, alpha, u)
+    return LevelReading(time_s, (1, label), levelled, alpha, u)
 
 
 def test_each_mounting_has_what_was_measured_for_it_and_no_other():
