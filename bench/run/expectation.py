@@ -17,7 +17,7 @@ from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.model.conditions import Conditions, Mounting
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block, Installation
-from bench.readings.mistaken import EXCHANGED, REVERSED, SLIPS_RAD, Wiring, reflected_rad
+from bench.readings.corrected import EXCHANGED, REVERSED, SLIPS_RAD, Wiring, reflected_rad
 from drivers.angles import format_dms, wrapped_rad
 
 COEFFICIENT_COUNT: Final = 12

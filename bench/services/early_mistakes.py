@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.base.arrays import Mask
 from bench.diagnosis.mistakes.search import Mistake
-from bench.readings.mistaken import MistakeName
+from bench.readings.corrected import MistakeName
 from bench.readings.table import Readings
 from bench.run.causes import STOP_ALARM
 from bench.run.early_warning import watcher_of

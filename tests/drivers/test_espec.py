@@ -11,7 +11,7 @@ from drivers.chambers import ChamberLimits
 from drivers.facts.espec import READ_TERMINATION, WRITE_TERMINATION
 from drivers.instruments.espec import EspecChamber
 from drivers.interfaces import Identity, InstrumentLost, InstrumentRefused, LimitExceeded, ThermalChamber
-from sim.espec import EspecP300
+from sim.chambers import EspecP300
 from sim.wires.session import DROP, REFUSE, WireFault
 from sim.world.world import World
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession

@@ -16,7 +16,7 @@ from drivers.interfaces import (
     InstrumentRefused,
     ThermalChamber,
 )
-from sim.thermotron import Thermotron8800
+from sim.chambers import Thermotron8800
 from sim.world.world import World
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession
 from tests.support.simulated_stand import a_world, served

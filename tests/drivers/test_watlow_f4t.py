@@ -11,7 +11,7 @@ import pytest
 from drivers.chambers import ChamberLimits
 from drivers.instruments.watlow_f4t import WatlowF4TChamber
 from drivers.interfaces import Identity, InstrumentLost, InstrumentRefused, ThermalChamber
-from sim.watlow_f4t import WatlowF4T
+from sim.chambers import WatlowF4T
 from sim.world.world import World
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession
 from tests.support.simulated_stand import a_world, served

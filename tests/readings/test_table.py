@@ -11,8 +11,15 @@ import pytest
 from bench.calibration import calibrate
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
-from bench.readings.corrected import Corrections, corrected
-from bench.readings.mistaken import EXCHANGED, REVERSED, RIGHT, SLIPS_RAD, reflected_rad
+from bench.readings.corrected import (
+    EXCHANGED,
+    REVERSED,
+    RIGHT,
+    SLIPS_RAD,
+    Corrections,
+    corrected,
+    reflected_rad,
+)
 from bench.readings.reading import Outlier, Reading, readings_of
 from bench.readings.table import JoinedPart, make_readings, together
 from drivers.angles import classic_slip

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sim.espec import EspecP300
-from sim.thermotron import Thermotron8800
-from sim.watlow_f4t import WatlowF4T
+from sim.chambers import EspecP300, Thermotron8800, WatlowF4T
 from sim.world.world import World
 from tests.support.simulated_stand import a_world, tell
 

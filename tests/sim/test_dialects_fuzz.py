@@ -7,9 +7,7 @@ import random
 import pytest
 
 from sim.acutrol import AcutrolTable
-from sim.espec import EspecP300
-from sim.thermotron import Thermotron8800
-from sim.watlow_f4t import WatlowF4T
+from sim.chambers import EspecP300, Thermotron8800, WatlowF4T
 from sim.wires.session import Dialect
 from sim.zaber import ZaberStage
 from tests.support.simulated_stand import a_world

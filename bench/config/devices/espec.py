@@ -38,7 +38,7 @@ DEVICE = Device(
     "espec",
     EspecSection,
     driver="drivers.instruments.espec:EspecChamber",
-    simulation="sim.espec:EspecP300",
+    simulation="sim.chambers:EspecP300",
     example={"resource": "TCPIP0::192.0.2.50::10001::SOCKET", "minimum": "-40 degC", "maximum": "85 degC"},
     simulated=(*OF_THE_AIR, "sensor_noise"),
     place=1,

@@ -38,7 +38,7 @@ DEVICE = Device(
     "thermotron",
     ThermotronSection,
     driver="drivers.instruments.thermotron:ThermotronChamber",
-    simulation="sim.thermotron:Thermotron8800",
+    simulation="sim.chambers:Thermotron8800",
     example={"resource": "TCPIP0::192.0.2.52::8888::SOCKET", "minimum": "-40 degC", "maximum": "85 degC"},
     simulated=OF_THE_AIR,
     place=3,

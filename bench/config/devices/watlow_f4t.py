@@ -47,7 +47,7 @@ DEVICE = Device(
     "watlow-f4t",
     WatlowF4TSection,
     driver="drivers.instruments.watlow_f4t:WatlowF4TChamber",
-    simulation="sim.watlow_f4t:WatlowF4T",
+    simulation="sim.chambers:WatlowF4T",
     example={
         "resource": "TCPIP0::192.0.2.51::5025::SOCKET",
         "minimum": "-40 degC",

@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.base.arrays import Floats, Ints, Labels, Mask
 from bench.model import Mounting
-from bench.readings.mistaken import EXCHANGED, REVERSED, RIGHT, MistakeName, Wiring
+from bench.readings.corrected import EXCHANGED, REVERSED, RIGHT, MistakeName, Wiring
 from bench.readings.table import REFERENCE, Readings
 
 SAME_STOP: Final = np.radians(0.5)

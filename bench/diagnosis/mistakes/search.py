@@ -30,7 +30,7 @@ from bench.diagnosis.mistakes.gross import GrossMistake, GrossSearch
 from bench.diagnosis.mistakes.reinterpretation import Oriented
 from bench.diagnosis.mistakes.single_readings import SingleMistake, find_single
 from bench.model import STAND_ANGLES, Block, ForwardModel
-from bench.readings.mistaken import MistakeName
+from bench.readings.corrected import MistakeName
 from bench.readings.table import Readings
 
 MOST: Final = 5

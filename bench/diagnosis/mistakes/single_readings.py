@@ -29,7 +29,7 @@ from bench.diagnosis.mistakes.describing import (
     weigh,
 )
 from bench.model.geometry import Block
-from bench.readings import mistaken
+from bench.readings import corrected as mistaken
 
 HEAVY_DOF: Final = 4.0
 """Tails are held against those of Student's t with as many degrees of freedom."""

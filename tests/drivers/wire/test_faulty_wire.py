@@ -19,9 +19,7 @@ from drivers.interfaces import BenchError, DividingHead, ThermalChamber
 from drivers.motion import Travel
 from drivers.wire.visa import MessageSession
 from sim.acutrol import AcutrolTable
-from sim.espec import EspecP300
-from sim.thermotron import Thermotron8800
-from sim.watlow_f4t import WatlowF4T
+from sim.chambers import EspecP300, Thermotron8800, WatlowF4T
 from sim.wires.session import DROP, SILENCE, Dialect, FaultHook, WireFault
 from sim.world.world import World
 from sim.zaber import ZaberStage
