@@ -29,7 +29,8 @@ from bench.diagnosis.mistakes.describing import (
     weigh,
 )
 from bench.model.geometry import Block
-from bench.readings import corrected as mistaken
+from bench.readings.corrected import SLIPS_RAD as SLIP_SIZES_RAD
+from bench.readings.corrected import reflected_rad
 
 HEAVY_DOF: Final = 4.0
 """Tails are held against those of Student's t with as many degrees of freedom."""
@@ -72,7 +73,7 @@ def odds_of_tails(values: Floats, outliers: Floats = NONE) -> float:
 
 SLIPS_RAD: Final = tuple(
     sign * slip
-    for slip in mistaken.SLIPS_RAD.values()
+    for slip in SLIP_SIZES_RAD.values()
     if slip < np.radians(NEAR_DEG)  # further off, nothing is known to be a repeat of it
     for sign in (1, -1)
 )
@@ -341,7 +342,7 @@ def _slips(problem: Problem, block: Block) -> list[tuple[Floats, Floats]]:
     """Return, for each kind of wrong setting, by how much the head (n,) and the signals (n, 3) are off."""
     angle = problem.conditions.angle_rad
     offs = [np.full(len(angle), off) for off in SLIPS_RAD]
-    offs.append(mistaken.reflected_rad(angle))
+    offs.append(reflected_rad(angle))
     here = problem.predict(block, problem.prior_mean)
     slips = []
     for off in offs:
