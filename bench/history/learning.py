@@ -384,13 +384,13 @@ def _holding(beliefs: Beliefs, layout: Layout, j: int) -> Beliefs:
 
 
 def _shown(body: Body, j: int) -> bool:
-    """Whether any run tells more of an angle than was stated of it."""
+    """Whether any run determines an angle better than it was stated."""
     own = np.diagonal(body.gram[:, : body.columns, : body.columns], axis1=1, axis2=2)[body.random == j]
     return bool(np.max(own, initial=0.0) > SHOWN)
 
 
 def _untold(body: Body, theta: Floats, beliefs: Beliefs, layout: Layout) -> dict[int, str]:
-    """Return the kinds whose variance the runs do not tell, with what it shows together with."""
+    """Return the kinds whose variance these runs do not determine, with the reason."""
     information = at(body, theta, beliefs).information
     k = len(layout.kinds)
     size = np.maximum(np.sqrt(np.diag(information)), 1e-6)
@@ -406,7 +406,7 @@ def _untold(body: Body, theta: Floats, beliefs: Beliefs, layout: Layout) -> dict
 
 
 def _why(body: Body, j: int, layout: Layout) -> str:
-    """Say what an angle shows together with, if with any."""
+    """Return why an angle is not determined: which others it cannot be separated from, if any."""
     together = set()
     for gram, random in zip(body.gram, body.random, strict=True):
         own = np.flatnonzero(random == j)

@@ -167,7 +167,7 @@ class Body:
 
     @cached_property
     def _kept(self) -> dict[tuple[str, int], Floats]:
-        """What was worked out of these sums alone."""
+        """Results of these sums that are asked for again and again."""
         return {}
 
     def without(self, left_out: Sequence[int]) -> Body:
@@ -229,13 +229,8 @@ def body_of(runs: Sequence[RunFit], variances: Floats, layout: Layout) -> Body:
 
 def _sums(
     run: RunFit, variances: Floats, layout: Layout, width: int, waves: int
-) -> tuple[
-    Floats,
-    Ints,
-    Ints,
-    float,
-    float,
-]:
+) -> tuple[Floats, Ints, Ints, float, float]:
+    """Return the sums of a run (w, w), the variance and the mean of each column (c,), chi-square and its dof."""
     n, a = len(run.y), len(run.angles)
     noise = Noise(rms(np.sqrt(variances[:3])), float(np.sqrt(variances[3])), np.inf, "given",
                   channels=tuple(np.sqrt(variances[:3]).tolist()))  # fmt: skip

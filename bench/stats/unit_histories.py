@@ -46,9 +46,9 @@ class SameLength:
 
 @dataclass(frozen=True)
 class Histories:
-    """Who was measured where and when: contrasts within units; `runs` (U,) of each unit, `benches` their number.
+    """The design: contrasts within units. `runs` (U,) counts those of each unit, `benches` is how many there are.
 
-    Of a unit `longest` runs at the most are taken.
+    At most `longest` runs of a unit are used.
     """
 
     alike: tuple[SameLength, ...]
