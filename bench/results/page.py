@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 from markupsafe import Markup
@@ -79,11 +78,6 @@ def _residuals(calibration: Calibration) -> dict[str, Markup] | None:
         "by_angle": Markup(plots.residuals_by_angle(calibration)),  # noqa: S704 - our own drawing
         "in_order": Markup(plots.residuals_in_order(calibration)),  # noqa: S704
     }
-
-
-def write_report(content: ReportContent, path: Path) -> None:
-    """Write the report to a file (UTF-8). Raises `OSError` when it cannot be written."""
-    path.write_text(render_report(content), encoding="utf-8")
 
 
 STATES: Final = {
