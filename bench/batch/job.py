@@ -135,64 +135,32 @@ def program() -> Mapping[str, str]:
 TEXT, NUMBER, WHOLE, FLAG, NUMBERS = "text", "number", "whole", "flag", "numbers"
 
 _COMMON: Final = {
-    "run": TEXT,
-    "name": TEXT,
-    "unit_type": TEXT,
-    "serial": TEXT,
-    "bench": TEXT,
-    "simulated": FLAG,
-    "begun": TEXT,
-    "measured_with": TEXT,
-    "failed": TEXT,
-    "verdict_stored": TEXT,
-    "verdict": TEXT,
+    **dict.fromkeys(("run", "name", "unit_type", "serial", "bench"), TEXT), "simulated": FLAG,
+    **dict.fromkeys(("begun", "measured_with", "failed", "verdict_stored", "verdict"), TEXT),
     "verdict_differs": FLAG,
-}
+}  # fmt: skip
 _CALIBRATION: Final = {
-    "estimator_stored": TEXT,
-    "estimator": TEXT,
-    "model_stored": TEXT,
-    "model": TEXT,
-    "signal_unit_stored": TEXT,
-    "signal_unit": TEXT,
-    "g_stored_m_s2": NUMBER,
-    "g_m_s2": NUMBER,
-    "worst_delta_g_stored": NUMBER,
-    "worst_delta_g": NUMBER,
-    "worst_delta_g_u_stored": NUMBER,
-    "worst_delta_g_u": NUMBER,
-    "limit_g_stored": NUMBER,
-    "limit_g": NUMBER,
-    "rule_stored": TEXT,
-    "rule": TEXT,
-    "fit_stored": TEXT,
-    "fit": TEXT,
-    "fit_differs": FLAG,
-    "p_stored": NUMBER,
-    "p": NUMBER,
-    "readings_used": WHOLE,
-    "largest_change_in_u": NUMBER,
-    "largest_change_of": TEXT,
-    "least_u_ratio": NUMBER,
-    "most_u_ratio": NUMBER,
+    **{f"{name}{of}": TEXT for name in ("estimator", "model", "signal_unit") for of in ("_stored", "")},
+    **{f"g{of}_m_s2": NUMBER for of in ("_stored", "")},
+    **{
+        f"{name}{of}": NUMBER
+        for name in ("worst_delta_g", "worst_delta_g_u", "limit_g")
+        for of in ("_stored", "")
+    },
+    "rule_stored": TEXT, "rule": TEXT, "fit_stored": TEXT, "fit": TEXT, "fit_differs": FLAG, "p_stored": NUMBER,
+    "p": NUMBER, "readings_used": WHOLE, "largest_change_in_u": NUMBER, "largest_change_of": TEXT,
+    "least_u_ratio": NUMBER, "most_u_ratio": NUMBER,
     **{
         column: NUMBER
         for name in COEFFICIENTS
         for column in (f"{name}_stored", name, f"u_{name}_stored", f"u_{name}", f"{name}_change_in_u")
     },
     "covariance": NUMBERS,
-}
+}  # fmt: skip
 _DIAGNOSIS: Final = {
-    "model": TEXT,
-    "names_stored": TEXT,
-    "names": TEXT,
-    "names_differ": FLAG,
-    "gap_before_stored": NUMBER,
-    "gap_before": NUMBER,
-    "gap_after_stored": NUMBER,
-    "gap_after": NUMBER,
-    "result": TEXT,
-}
+    "model": TEXT, "names_stored": TEXT, "names": TEXT, "names_differ": FLAG, "gap_before_stored": NUMBER,
+    "gap_before": NUMBER, "gap_after_stored": NUMBER, "gap_after": NUMBER, "result": TEXT,
+}  # fmt: skip
 _AT_THE_END: Final = {"notes": TEXT, "fingerprint": TEXT}
 
 COLUMNS: Final = {

@@ -227,11 +227,6 @@ class Laboratory(Contact, StatedRule):
 
         return (SIMULATED_SERIES if simulated else "") + _FIELD.sub(filled, self.numbers)
 
-    @property
-    def counts_by_year(self) -> bool:
-        """Whether counting begins anew each year."""
-        return "{year" in self.numbers
-
     def person(self, name: str) -> Person | None:
         """Return who is called so among those that may authorise; None for another."""
         return next((one for one in self.authorised if one.name == name), None)

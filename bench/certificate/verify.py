@@ -22,8 +22,7 @@ from bench.calibration.conformity import SIMPLE, DecisionRule
 from bench.certificate.content import Found
 from bench.certificate.dcc.shown import Shown, shown_of
 from bench.certificate.gather import found_by
-from bench.certificate.page import DCC, RELATIONS
-from bench.certificate.pdfa import faults_of
+from bench.certificate.page import DCC, RELATIONS, faults_of
 from bench.certificate.register import LINES, Register
 from bench.certificate.signatory import certificates_in, fingerprint_of, name_of, why_not_trusted
 from bench.certificate.signatures import (

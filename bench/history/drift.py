@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -341,20 +341,6 @@ class Due:
     now_g: float | None = None
     predicted_g: float | None = None
     simulated: bool = False
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the result."""
-        return {
-            "due": str(self.date.astype("datetime64[D]")),
-            "basis": self.basis,
-            "why": self.why,
-            "last": str(self.last.astype("datetime64[D]")),
-            "calibrations": self.count,
-            "limit_g": self.limit_g,
-            "error_at_last_g": self.now_g,
-            "error_when_due_g": self.predicted_g,
-            "simulated": self.simulated,
-        }
 
 
 def due(

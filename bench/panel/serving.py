@@ -17,6 +17,7 @@ from bench.base.files import from_text, read_regular, to_text, write_whole
 from bench.panel.access import PORT, STATE, Access, Refusal, Settings, is_loopback, private_folder
 from bench.panel.launching import Started, start, wait_until
 from bench.run.events import RecordError
+from bench.services.errors import Refused
 
 if TYPE_CHECKING:
     import uvicorn
@@ -142,6 +143,15 @@ def is_serving(runs: Path) -> bool:
             return False
     except Timeout:
         return True
+
+
+def link_of(runs: Path) -> str:
+    """Return a one-time link to the panel that serves a folder. Raises `Refused` where none does."""
+    if not is_serving(runs):
+        raise Refused(
+            f"{runs}: no panel serves this folder now; 'bench panel' begins one, and prints its link"
+        )
+    return new_link(runs)
 
 
 def open_panel(runs: Path, after: str = "/") -> str:

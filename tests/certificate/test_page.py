@@ -12,8 +12,7 @@ import pytest
 from bench.certificate.content import Before, Issue, Item
 from bench.certificate.gather import certificate_of
 from bench.certificate.laboratory import Person, load_laboratory, load_order, texts_of
-from bench.certificate.page import body_of
-from bench.certificate.pdfa import faults_of
+from bench.certificate.page import body_of, faults_of
 from bench.certificate.signatures import check_pdf, sign_pdf
 from bench.services.errors import Refused
 from tests.support.certificates import ORDER, copy_run, write_files

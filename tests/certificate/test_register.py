@@ -1,15 +1,16 @@
-"""The register: lines are only added, a number is there with its files or not at all, one program at a time."""
+"""The register: lines are only added, a number is there with its files or not at all, whoever is killed."""
 
 import json
 import os
+import random
+import signal
+import time
 
 import pytest
 
 from bench.certificate import register as module
-from bench.certificate.register import ISSUED, REVOKED, Entry, Register, opened
+from bench.certificate.register import ISSUED, LINES, REVOKED, Entry, Register, opened
 from bench.services.errors import Refused
-
-LINES = module.LINES
 
 
 def entry(number, **data):
@@ -181,3 +182,62 @@ def test_a_line_is_readable_by_people(tmp_path):
     issue(tmp_path, "1")
     told = json.loads((tmp_path / LINES).read_text(encoding="utf-8"))
     assert (told["n"], told["type"], told["number"], told["by"]) == (1, "issued", "1", "A. Example")
+
+
+forked = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+SEED = 20261122
+
+
+def program(folder, name, certificates):
+    """Let another program issue certificates; return its process."""
+    process = os.fork()
+    if process:
+        return process
+    try:
+        for n in range(certificates):
+            with opened(folder) as register:
+                number = register.number_after(str(k) for k in range(1, 10_000))
+                data = {"record": {"head": f"{name}-{n}"}}
+                entry = Entry(ISSUED, number, "2026-11-22T12:00:00+00:00", name, data)
+                content = f"{name} {n} ".encode() * 2_000
+                register.issue(entry, {f"{number}.xml": content, f"{number}.pdf": content[::-1]})
+    finally:
+        os._exit(0)
+
+
+def check(folder):
+    """Check what stands in a folder of a register; return how many certificates there are."""
+    with opened(folder) as register:
+        assert register.damaged_files() == []
+        numbers = [int(number) for number in register.standings]
+        known = {name for standing in register.standings.values() for name in standing.entry.files}
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert {path.name for path in folder.iterdir()} == known | {LINES, ".register.lock"}
+    return len(numbers)
+
+
+@pytest.mark.slow
+@forked
+def test_two_programs_at_once_give_each_number_once(tmp_path):
+    for process in [program(tmp_path, name, 8) for name in "ab"]:
+        assert os.waitpid(process, 0)[1] == 0
+    assert check(tmp_path) == 16
+    with opened(tmp_path) as register:
+        assert {standing.entry.by for standing in register.standings.values()} == {"a", "b"}
+
+
+@pytest.mark.slow
+@forked
+def test_killed_at_random_moments_a_register_stays_whole(tmp_path):
+    moments = random.Random(SEED)  # noqa: S311 - moments, no secrets
+    before, killed = 0, 0
+    for _ in range(8):
+        processes = [program(tmp_path, name, 50) for name in "ab"]
+        time.sleep(moments.uniform(0.0, 0.06))
+        for process in processes:
+            os.kill(process, signal.SIGKILL)
+            killed += os.WIFSIGNALED(os.waitpid(process, 0)[1])
+        after = check(tmp_path)
+        assert after >= before
+        before = after
+    assert killed > 0

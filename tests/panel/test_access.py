@@ -1,5 +1,6 @@
 """Who may come in, and what a stranger's request meets."""
 
+import asyncio
 import stat
 from datetime import UTC, datetime, timedelta
 
@@ -8,6 +9,7 @@ import pytest
 from bench.panel.access import LINKS, SESSIONS, STATE, TOKENS, Access, Role, Settings
 from bench.panel.app import make_app
 from bench.run.events import RecordError
+from benchmarks.panel_fuzz import Place, fuzz
 from tests.support.panel_client import HOME, OWN, Browser, TestClient, stranger
 
 
@@ -221,3 +223,12 @@ def test_what_is_no_form_is_refused(runs, body, kind, status):
     chunks = iter([body[k : k + 4096] for k in range(0, len(body), 4096)])
     assert browser.client.post("/sign-out", content=chunks, headers=headers).status_code == status
     assert browser.get("/").status_code == 200
+
+
+@pytest.mark.slow
+def test_requests_drawn_at_random_change_nothing_without_the_right_to(tmp_path):
+    outcome = asyncio.run(fuzz(Place(tmp_path), 300, seed=7))
+    assert outcome.wrong == []
+    assert outcome.requests == 300
+    assert outcome.entitled > 5
+    assert {200, 303, 401, 403, 404, 405, 413} <= outcome.statuses.keys()

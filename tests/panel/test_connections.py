@@ -14,6 +14,7 @@ import pytest
 from bench.panel import app as connections
 from bench.panel.access import LARGEST_BODY, MOST_SESSIONS, STATE, Access, Role
 from bench.panel.app import OncePerMinute
+from bench.panel.shared import LOG
 from benchmarks.panel_fuzz import RECORD as RECORDS
 from benchmarks.panel_fuzz import Request, send
 from tests.support.panel_client import OWN, Browser, stranger
@@ -72,7 +73,7 @@ def test_half_open_connections_do_not_keep_others_out(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_what_a_client_breaks_leaves_a_line_and_no_traceback(tmp_path, monkeypatch):
     written = []
-    monkeypatch.setattr(connections.LOG, "callHandlers", written.append)  # behind the filters
+    monkeypatch.setattr(LOG, "callHandlers", written.append)  # behind the filters
     with served(tmp_path) as panel:
         for _ in range(10):
             exchanged(

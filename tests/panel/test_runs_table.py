@@ -3,15 +3,17 @@
 import json
 import re
 import shutil
+from pathlib import Path
 
 import pytest
 
-from bench.panel.access import Refusal
+from bench.panel.access import Refusal, Role
 from bench.panel.folder import UNREAD, RunsFolder, RunsTable, read_page, state_at_the_end
 from bench.run.folder import Run
 from bench.services.records import run_summary
+from tests.support.check_runs import measured, write_bench
 from tests.support.pages import ROOT
-from tests.support.panel_client import Browser
+from tests.support.panel_client import Browser, stranger
 
 RECORDS = ROOT / "tests" / "data" / "records"
 
@@ -154,3 +156,41 @@ def test_a_page_that_is_a_link_or_no_file_is_not_sent(runs, tmp_path):
         with pytest.raises(Refusal):
             read_page(run, name)
     assert Browser(runs, "anna").get("/runs/finished/report").status_code == 404
+
+
+@pytest.mark.slow
+def test_the_charts_of_the_check_block(empty_folder, monkeypatch):
+    monkeypatch.delenv("BENCH_FILE", raising=False)
+    write_bench()
+    measured("check-0", seed=10)
+    measured("check-1", seed=11)
+    before = files_there()
+    viewer = Browser(Path("runs"), "vera", Role.VIEWER)
+    assert '<a href="/check">Check block</a>' in viewer.get("/").text
+    page = viewer.get("/check")
+    assert page.status_code == 200
+    assert "Control chart of the check block" in page.text
+    assert "CHECK-1" in page.text
+    assert "SIMULATED" in page.text
+    assert page.text.count("<svg") == 2
+    assert "check-1, begun" in page.text
+    assert "sandbox" in page.headers["content-security-policy"]
+    none = viewer.get("/check?of=real")
+    assert (none.status_code, "no run of a check block there" in none.text) == (409, True)
+    assert files_there() == before
+
+
+def files_there():
+    """What stands in the runs, as it was written last."""
+    return sorted(
+        (str(file), file.stat().st_mtime_ns) for file in Path("runs").glob("check-*/**/*") if file.is_file()
+    )
+
+
+def test_a_stranger_sees_nothing_and_nobody_writes(tmp_path):
+    assert stranger(tmp_path / "runs").get("/check").status_code in (303, 401)
+    viewer = Browser(tmp_path / "runs", "vera", Role.VIEWER)
+    assert viewer.post("/check").status_code == 405
+    assert viewer.get("/check?of=all").status_code == 400
+    none = viewer.get("/check")
+    assert (none.status_code, "no run of a check block there" in none.text) == (409, True)

@@ -166,21 +166,9 @@ def numbers(values: Iterable[float]) -> str:
     return " ".join(number(value) for value in values)
 
 
-def real(
-    value: float, unit: str, u: float | None = None, expanded: tuple[float, float, float] | None = None
-) -> Node:
-    """Return a single quantity, with its standard uncertainty, or with U, k and the coverage probability."""
-    uncertain = None
-    if expanded is not None:
-        U, k, probability = expanded
-        uncertain = node(
-            "si:expandedMU",
-            node("si:valueExpandedMU", number(U)),
-            node("si:coverageFactor", positional(k)),
-            node("si:coverageProbability", positional(probability)),
-        )
-    elif u is not None:
-        uncertain = node("si:standardMU", node("si:valueStandardMU", number(u)))
+def real(value: float, unit: str, u: float | None = None) -> Node:
+    """Return a single quantity, with its standard uncertainty where there is one."""
+    uncertain = None if u is None else node("si:standardMU", node("si:valueStandardMU", number(u)))
     return node(
         "si:real",
         node("si:value", number(value)),

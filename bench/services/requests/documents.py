@@ -1,13 +1,20 @@
-"""Requests on many runs and on certificates: catalogue, batches, certificates."""
+"""Requests on many runs and what is made of them: catalogue, batches, certificates, the panel."""
 
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 from bench.base.requests import Option
-from bench.services.requests.shared import OnReadings, RunsField
+from bench.services.requests.shared import (
+    GuardBandField,
+    LimitField,
+    OnReadings,
+    RuleField,
+    RunsField,
+)
 
 CatalogueField = Annotated[
     str | None,
@@ -90,20 +97,6 @@ class DueUnits(_Dated):
 
 
 # --- batches: the same work over many runs ------------------------------------------------------------
-
-LimitField = Annotated[float | None, Option("Limit of |Δg| in g, in place of the bench file's.")]
-RuleField = Annotated[
-    str | None,
-    Option(
-        "simple: |Δg| within the limit; guarded: |Δg| + w within it, w = U; non-binary: with conditional "
-        "statements (default: the bench file's, or non-binary with w at 5 % false acceptance).",
-        metavar="RULE",
-    ),
-]
-GuardBandField = Annotated[
-    float | None,
-    Option("Guard band of the rule: w = R U (default: the bench file's, or that of the rule).", metavar="R"),
-]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -292,3 +285,45 @@ class ReadCertificate:
     noise: Annotated[
         str | None, Option("Noise of a reading, '50 uV', where the maker is another.", metavar="VOLTAGE")
     ] = None
+
+
+# --- the panel ----------------------------------------------------------------------------------------
+
+
+class PeopleCommand(StrEnum):
+    """What is asked of the panel beside showing it."""
+
+    TOKEN = "token"
+    TOKENS = "tokens"
+    REVOKE = "revoke"
+    LINK = "link"
+
+
+@dataclass(frozen=True)
+class ServePanel:
+    """Serve the operator's panel over a folder of runs, or make what people sign in with."""
+
+    what: Annotated[
+        PeopleCommand | None,
+        Option(
+            "token NAME makes a person's token, tokens lists, revoke NAME takes it back; link makes a one-time "
+            "link. Left out: the panel itself.",
+            argument=True,
+        ),
+    ] = None
+    name: Annotated[str | None, Option("Of which person.", argument=True)] = None
+    _: KW_ONLY
+    role: Annotated[str, Option("viewer, operator or supervisor.")] = "operator"
+    host: Annotated[str, Option("Where to listen; beyond loopback only with tokens.")] = "127.0.0.1"
+    port: Annotated[int, Option("0 takes a free one.", least=0, most=65535)] = 8741
+    address: Annotated[
+        str, Option("Address of a proxy with TLS before it, such as https://bench.lab.", metavar="URL")
+    ] = ""
+    laboratory: Annotated[
+        Path | None,
+        Option("Laboratory file, whose register holds the certificates of the runs.", metavar="FILE"),
+    ] = None
+    catalogue: Annotated[
+        str, Option("Catalogue, which its pages on units show; only read.", metavar="FILE|URL")
+    ] = ""
+    runs: RunsField = None
