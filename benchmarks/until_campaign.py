@@ -242,7 +242,7 @@ def row(name: str, ended: list[Outcome], fixed_s: float, once_s: float, settings
 
 def main() -> int:
     asked = arguments(
-        __doc__, runs=2500, seed=1, workers=1, minutes=float("inf"), goal=["all=5e-5"], noise=NOISES
+        __doc__, runs=2500, seed=1, workers=1, minutes=float("inf"), goal=["all=5e-5"], noise=list(NOISES)
     )
     last_start = time.time() + 60 * asked.minutes
     run = partial(part, asked.goal, asked.noise, asked.seed, last_start)

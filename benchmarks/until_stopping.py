@@ -143,7 +143,12 @@ def row(name: str, parts: list[Stopped]) -> str:
 
 def main() -> int:
     asked = arguments(
-        __doc__, runs=(2500, "for each size of the noise"), seed=1, step=3, goal=["all=5e-5"], noise=NOISES
+        __doc__,
+        runs=(2500, "for each size of the noise"),
+        seed=1,
+        step=3,
+        goal=["all=5e-5"],
+        noise=list(NOISES),
     )
     chooser = chooser_for(asked.goal)
     points, first = order_of(chooser)
