@@ -34,7 +34,7 @@ from bench.config.bench_file.file import load_bench
 from bench.model import ForwardModel
 from bench.run.assembly.instruments import simulated_instruments, world_of
 from bench.run.events import RecordError
-from bench.run.listening import SIGNALS
+from bench.run.interrupts import SIGNALS
 from bench.run.record import read_history
 from benchmarks.campaign import PROGRAM, ROOT, arguments, spread
 from sim.bench import SimulatedBench

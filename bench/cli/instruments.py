@@ -62,7 +62,7 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
     """
     from bench.config.bench_file.file import load_bench
     from bench.results.instruments import InstrumentsResult
-    from bench.run.listening import Interrupts
+    from bench.run.interrupts import Interrupts
     from bench.services.bench_selection import bench_path
     from bench.services.instruments import look_at
     from bench.services.traceability import remarks
@@ -285,7 +285,7 @@ def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
 @contextmanager
 def _ended_by_signal() -> Iterator[threading.Event]:
     """Yield what Ctrl-C, SIGTERM and a closed terminal set in place of ending the program."""
-    from bench.run.listening import SIGNALS
+    from bench.run.interrupts import SIGNALS
 
     ended = threading.Event()
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from bench.diagnosis.next_measurement import Proposal
     from bench.run.folder import Run
-    from bench.run.listening import Interrupts
+    from bench.run.interrupts import Interrupts
     from bench.services.conclusion import Conclusion
     from bench.services.execution import NewRun
 

@@ -21,12 +21,12 @@ def main() -> None:
 
     Even the import of the commands takes long enough to be interrupted. A second one ends the program at once;
     those that come while that is told are not heard. What must be left safe hears signals by itself
-    (`bench.run.listening`).
+    (`bench.run.interrupts`).
     """
     try:
         try:
             signal.signal(signal.SIGINT, _once)
-            from bench.run.listening import Interrupts
+            from bench.run.interrupts import Interrupts
 
             with Interrupts([signal.SIGINT]) as interrupts:
                 interrupts.release(_SAID)

@@ -15,7 +15,7 @@ from bench.readings.csv import format_csv, read_csv
 from bench.results.control_chart import CheckBlockChart
 from bench.run.events import Manifest
 from bench.run.folder import BENCH, IMPORTED, RESULTS, Run, checked_name
-from bench.run.listening import Interrupts
+from bench.run.interrupts import Interrupts
 from bench.run.record import Record
 from bench.services.bench_selection import SUFFIX, BenchTaken, bench_of, is_told, origin_beside, own_bench
 from bench.services.calibration import CalibrationResult, calibration_of, report_page

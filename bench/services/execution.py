@@ -46,7 +46,8 @@ from bench.run.folder import (
     find_run,
 )
 from bench.run.instruments import with_notes
-from bench.run.listening import Asker, ClockWatch, Interrupts, WishListener
+from bench.run.interrupts import Interrupts
+from bench.run.listening import Asker, ClockWatch, WishListener
 from bench.run.person import NOBODY_KNOWN, ControlFile, Who, agree, at_the_shell
 from bench.run.power import Feeding
 from bench.run.record import History, Record, is_being_written, read_history, resume_point
@@ -68,8 +69,8 @@ from bench.services.until import noted_goals, until_of
 from bench.services.verification import NOTHING_ASKED, Asked, judgement_of
 from drivers.clock import utc_now
 from drivers.interfaces import BenchError
+from drivers.making_safe import Haste
 from drivers.person import Prompt, PromptKind
-from drivers.wire.pyvisa_connection import Haste
 from drivers.wire.replay import WireLog, logged_wire
 
 MOST_RECALLED: Final = 500

@@ -26,7 +26,7 @@ from bench.run.assembly.served import dry_evening, real_bench, real_evening
 from bench.run.commission.course import go_through
 from bench.run.commission.session import Ended, Evening, status_of
 from bench.run.instruments import leave_safe
-from bench.run.listening import Interrupts
+from bench.run.interrupts import Interrupts
 from bench.run.workbench import QUICK_NPLC
 from bench.services.errors import Refused
 from bench.services.own_effects import simulated_truth
@@ -47,9 +47,8 @@ from drivers.interfaces import (
     Voltmeter,
     VoltmeterSettings,
 )
-from drivers.making_safe import let_go
+from drivers.making_safe import Haste, let_go
 from drivers.person import Answer, Person, Prompt
-from drivers.wire.pyvisa_connection import Haste
 from drivers.wire.replay import WireLog, logged_wire
 
 _LONGEST_S: Final = 180.0

@@ -163,21 +163,6 @@ def _chain(error: BaseException) -> Iterator[BaseException]:
         link = link.__cause__ or link.__context__
 
 
-HASTY_S: Final = 1.0
-"""Long enough for an instrument that is there: its reply is waited for no longer in haste."""
-
-
-class Haste:
-    """Whether waiting is to be cut short; what was to be sent is sent all the same."""
-
-    def __init__(self) -> None:
-        self.asked = False
-
-    def limited_s(self, timeout_s: float) -> float:
-        """Return how long to wait for what may otherwise take `timeout_s`."""
-        return min(timeout_s, HASTY_S) if self.asked else timeout_s
-
-
 # --- the connection ---------------------------------------------------------------------------------
 
 _QUIET_S: Final = 0.1

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BadReading, BenchError, InstrumentLost
+from drivers.making_safe import Haste
 from drivers.wire.prologix import SCHEME, AdapterConnection
-from drivers.wire.pyvisa_connection import Connection, Haste, SerialSettings, probable_cause
+from drivers.wire.pyvisa_connection import Connection, SerialSettings, probable_cause
 from drivers.wire.resources import Holding
 
 if TYPE_CHECKING:

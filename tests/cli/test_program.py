@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from bench.cli import app, program
-from bench.run.listening import Interrupts
+from bench.run.interrupts import Interrupts
 from bench.services.errors import Refused
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from bench.run.events import RunState
 from bench.run.folder import RESULTS, Run
-from bench.run.listening import Interrupts
+from bench.run.interrupts import Interrupts
 from bench.services import calibration
 
 pytestmark = pytest.mark.slow

@@ -7,7 +7,8 @@ import pytest
 
 from bench.run import listening
 from bench.run.events import RunState, Wish
-from bench.run.listening import Asker, Interrupts, WishListener
+from bench.run.interrupts import Interrupts
+from bench.run.listening import Asker, WishListener
 from bench.run.person import (
     ControlFile,
     LeftAnswer,

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from bench.run.folder import Run
-from bench.run.listening import SIGNALS, Interrupts
+from bench.run.interrupts import SIGNALS, Interrupts
 from bench.run.record import read_history
 from tests.support.patience import PATIENCE_S, wait_for
 

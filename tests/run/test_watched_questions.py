@@ -10,7 +10,7 @@ from rich.console import Console
 
 from bench.run import terminal as terminal_module
 from bench.run.events import RunState, Wish
-from bench.run.listening import Interrupts
+from bench.run.interrupts import Interrupts
 from bench.run.person import RunControl
 from bench.run.power import WATCH_S, RailFault
 from bench.run.terminal import LineReader, ProgressBar, TerminalPerson

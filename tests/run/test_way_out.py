@@ -8,7 +8,7 @@ import pytest
 
 from bench.config.procedure.plan import Plan, SetTemperature
 from bench.run.instruments import with_notes
-from bench.run.listening import SIGNALS, Interrupts
+from bench.run.interrupts import SIGNALS, Interrupts
 from bench.run.record import RecordError
 from drivers.interfaces import BenchError, Identity, InstrumentLost, LimitExceeded
 from tests.support.runner_bench import (

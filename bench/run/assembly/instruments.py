@@ -24,9 +24,9 @@ from bench.run.instruments import Instruments
 from drivers.chambers import ChamberLimits
 from drivers.clock import Clock
 from drivers.interfaces import BenchError
+from drivers.making_safe import Haste
 from drivers.motion import Travel
 from drivers.person import Person
-from drivers.wire.pyvisa_connection import Haste
 from drivers.wire.resources import Holding
 from drivers.wire.visa import MessageSession, SerialSettings, Wire
 from sim.bench import SimulatedMeter

@@ -35,8 +35,8 @@ from bench.run.runner import Observer
 from drivers.angles import parse_angle
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BenchError, Voltmeter
+from drivers.making_safe import Haste
 from drivers.person import Answer, Person, Prompt, WatchingPerson
-from drivers.wire.pyvisa_connection import Haste
 from drivers.wire.resources import Holding
 from drivers.wire.visa import MessageSession, Wire
 from sim.bench import SimulatedBench

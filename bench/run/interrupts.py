@@ -1,0 +1,140 @@
+"""Ctrl-C, SIGTERM and SIGHUP, heard where they do no harm. The program begins with it: it imports nothing heavy."""
+
+from __future__ import annotations
+
+import _thread
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import Any, ClassVar, Final
+
+from drivers.clock import SystemClock
+from drivers.making_safe import Haste
+
+# the terminal's window closed counts as well, where the system has that signal
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+NOT_DONE: Final = 2
+"""Exit status of a program that was stopped."""
+_OUTSIDE_S: Final = 0.01
+"""After so long what must not be interrupted by an exception is over."""
+
+Handler = Callable[[int, FrameType | None], Any] | int | None
+
+
+def interrupt_main() -> None:
+    """Do to the main thread what Ctrl-C does, also where it waits for the system."""
+    main = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and main is not None:
+        signal.pthread_kill(main, signal.SIGINT)
+    else:
+        _thread.interrupt_main()
+
+
+class Interrupts:
+    """Within its context signals (`numbers`) raise `KeyboardInterrupt` where the table above says so.
+
+    Python drops what is raised in a weak reference's callback or in a `__del__`: it is raised again after that.
+    `haste` is what a further signal asks of the instruments; `end` ends the program with a status. `any_heard` says
+    whether one was heard by any of them. Within another one, that of the whole program, an error that leaves the
+    context ends the program: until it is told, no signal is heard.
+    """
+
+    any_heard: ClassVar[bool] = False
+    _entered: ClassVar[int] = 0
+
+    def __init__(self, numbers: Collection[int] = SIGNALS, end: Callable[[int], object] = os._exit) -> None:
+        self.haste = Haste()
+        self._numbers = numbers
+        self._end = end
+        self._shielded = 0
+        self._pending = False
+        self._heard = False
+        self._held = False
+        self._last_words: str | None = None
+        self._before: dict[int, Handler] = {}
+        self._told_before = sys.unraisablehook
+
+    def __enter__(self) -> Interrupts:
+        Interrupts._entered += 1
+        self._told_before, sys.unraisablehook = sys.unraisablehook, self._dropped
+        for number in self._numbers:
+            self._before[number] = signal.signal(number, self._handle)
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        Interrupts._entered -= 1
+        # an error that ends the program is told: no further signal takes its place
+        ending = Interrupts._entered > 0 and isinstance(error, Exception)
+        for number, handler in self._before.items():
+            signal.signal(number, _unheard if ending else handler)
+        sys.unraisablehook = self._told_before
+
+    @contextmanager
+    def shield(self) -> Iterator[None]:
+        """Hold back a signal until the end of this context."""
+        self._shielded += 1
+        try:
+            yield
+        finally:
+            self._shielded -= 1
+        # not where something failed: that stops the run as well, and is the cause
+        if self._pending and not self._shielded and not self._held:
+            self._pending = False
+            raise KeyboardInterrupt
+
+    def hold(self) -> None:
+        """Begin the way out: no signal raises anything any more."""
+        self._held = True
+
+    def release(self, last_words: str) -> None:
+        """End the way out: the bench is safe, and what is still to be done can be done another time.
+
+        `last_words` are said where a second signal ends the program. Raises `KeyboardInterrupt` where one was heard
+        since `hold`.
+        """
+        self._last_words, self._held = last_words, False
+        if self._heard:
+            raise KeyboardInterrupt
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        again, self._heard = self._heard, True
+        Interrupts.any_heard = True
+        if self._last_words is not None:
+            if again:
+                self._end_at_once(self._last_words)
+            raise KeyboardInterrupt
+        if again or self._held:
+            self.haste.asked = True
+            with suppress(Exception):  # the terminal may be what went, or be written to just now
+                print("stopping: the bench is being left safe, a moment", file=sys.stderr)
+        elif self._shielded:
+            self._pending = True
+        else:
+            raise KeyboardInterrupt
+
+    def _end_at_once(self, last_words: str) -> None:
+        with suppress(Exception):  # as above
+            sys.stdout.flush()
+            print(f"bench: {last_words}", file=sys.stderr, flush=True)
+        self._end(NOT_DONE)
+
+    def _dropped(self, dropped: sys.UnraisableHookArgs) -> None:
+        """Have a signal raise again whose exception came where none can be raised."""
+        if not issubclass(dropped.exc_type, KeyboardInterrupt):
+            self._told_before(dropped)
+            return
+        self._heard = False
+        _thread.start_new_thread(_interrupt_soon, ())
+
+
+def _unheard(number: int, frame: FrameType | None) -> None:
+    """Do nothing, and say nothing of a signal just before it, as Python does where it is set to be ignored."""
+
+
+def _interrupt_soon() -> None:
+    SystemClock().sleep(_OUTSIDE_S)
+    interrupt_main()
