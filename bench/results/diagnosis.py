@@ -74,7 +74,7 @@ class SimulationPart(ResultModel):
     """The model beside the readings; null where nothing repeats."""
 
     chi2: Real
-    dof: float
+    dof: int | float
     p: Real = Field(description="of the readings beside the model")
     rms: Real = Field(description="of what is left")
     rms_of_a_simulated_run: Real
