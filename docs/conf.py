@@ -18,7 +18,7 @@ version = release = version_of("triaxial-bench")
 
 extensions = ["myst_parser"]
 source_suffix = {".md": "markdown"}
-exclude_patterns = ["_build", "generators", "schemas", "**/_*.md"]
+exclude_patterns = ["_build", "generators", "**/_*.md"]
 templates_path: list[str] = []
 
 myst_enable_extensions = ["deflist", "colon_fence", "attrs_inline"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -11,7 +10,6 @@ from bench.base.files import to_text
 from bench.results.schemas import RESULTS, model_of
 from docs.generators.markdown import code, table
 
-FOLDER: Final = Path(__file__).parents[1] / "schemas"
 _FIRST: Final = ("calibrate", "verify", "diagnose", "budget")
 
 _INTRODUCTION: Final = """\
@@ -26,15 +24,7 @@ standard uncertainties unless the name is `U`.
 
 def schemas() -> dict[str, dict[str, Any]]:
     """Return the schemas by name, those of most use first."""
-    kept = {path.stem: kept_schema(path.stem) for path in FOLDER.glob("*.json")}
-    found = {**kept, **{name: model_of(name).schema_of(name) for name in RESULTS}}
-    return {name: found[name] for name in (*_FIRST, *sorted(found.keys() - set(_FIRST)))}
-
-
-def kept_schema(name: str) -> dict[str, Any]:
-    """Return a schema that is kept as a file."""
-    schema: dict[str, Any] = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
-    return schema
+    return {name: model_of(name).schema_of(name) for name in (*_FIRST, *sorted(RESULTS.keys() - set(_FIRST)))}
 
 
 def write_schemas(folder: Path) -> None:

@@ -40,11 +40,12 @@ def test_what_counts_as_a_difference(one, other, different):
 
 def test_pages_differ_by_their_numbers_and_by_what_is_plotted(tmp_path):
     def stored(name, text, path):
-        folder = tmp_path / name
-        folder.mkdir()
+        folder = tmp_path / name / "seed-001"
+        folder.mkdir(parents=True)
+        (folder / "done").touch()
         (folder / "r.html").write_text(f'<p>{text}</p><svg><path d="M 1 {path}"/></svg>', encoding="utf-8")
         (folder / "r.json").write_text(json.dumps({"u": 1.0}), encoding="utf-8")
-        return folder
+        return folder.parent
 
     first = stored("a", "u = 3.1 uV of noise", 2.0)
     reworded = compare(first, stored("b", "noise u = 3.1 uV", 2.0))
@@ -53,11 +54,19 @@ def test_pages_differ_by_their_numbers_and_by_what_is_plotted(tmp_path):
     assert compare(first, stored("d", "u = 3.1 uV of noise", 2.1)).different
 
 
-def test_a_file_that_one_store_lacks_is_a_difference(tmp_path):
-    (tmp_path / "a").mkdir()
-    (tmp_path / "b").mkdir()
-    (tmp_path / "a" / "verify.json").write_text("{}", encoding="utf-8")
-    assert compare(tmp_path / "a", tmp_path / "b").different == ["verify.json: in one store alone"]
+def test_a_file_that_one_store_lacks_is_a_difference_and_so_is_nothing_to_compare(tmp_path):
+    one, other = (tmp_path / name / "seed-001" for name in ("a", "b"))
+    for folder in (one, other):
+        folder.mkdir(parents=True)
+        (folder / "done").touch()
+    nothing = compare(one.parent, other.parent).different
+    assert len(nothing) == 1
+    assert "no file that could be compared" in nothing[0]
+    (one / "verify.json").write_text("{}", encoding="utf-8")
+    assert "seed-001/verify.json: in one store alone" in compare(one.parent, other.parent).different
+    (one.parent / "seed-002").mkdir()  # begun and not done: not compared
+    (one.parent / "seed-002" / "calibrate.json").write_text("{}", encoding="utf-8")
+    assert not any("seed-002" in line for line in compare(one.parent, other.parent).different)
 
 
 def test_members_of_a_schema_are_told_by_path_through_references_lists_and_maps():

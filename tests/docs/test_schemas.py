@@ -8,8 +8,9 @@ import pytest
 from jsonschema import Draft202012Validator
 
 import bench as program
+from bench.results.schemas import RESULTS
 from tests.support.pages import ROOT
-from tests.support.schemas import VALIDATORS, keeps_to
+from tests.support.schemas import keeps_to, validator
 
 DATA = ROOT / "tests" / "data"
 
@@ -21,11 +22,11 @@ def finished(empty_folder):
     return "finished"
 
 
-@pytest.mark.parametrize("name", VALIDATORS)
+@pytest.mark.parametrize("name", RESULTS)
 def test_a_schema_is_one_and_describes_what_it_is_of(name):
-    Draft202012Validator.check_schema(VALIDATORS[name].schema)
-    assert VALIDATORS[name].schema["title"]
-    assert VALIDATORS[name].schema["description"].endswith(".")
+    Draft202012Validator.check_schema(validator(name).schema)
+    assert validator(name).schema["title"]
+    assert validator(name).schema["description"].endswith(".")
 
 
 @pytest.mark.slow
@@ -62,6 +63,6 @@ def test_a_member_that_no_schema_names_is_noticed():
     found = program.calibrate(str(DATA / "records" / "readings.csv")).to_dict()
     result = json.loads(json.dumps(found))
     keeps_to("calibrate", result)
-    assert not VALIDATORS["calibrate"].is_valid(result | {"surprise": 1})
+    assert not validator("calibrate").is_valid(result | {"surprise": 1})
     del result["covariance"]
-    assert not VALIDATORS["calibrate"].is_valid(result)
+    assert not validator("calibrate").is_valid(result)
