@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import datetime
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -11,8 +10,8 @@ from typing import Final
 
 from lxml import etree
 
-from bench.certificate.content import Attached, Before, Certificate, Issue
-from bench.certificate.dcc.nodes import NAMESPACES, VERSION, Node, node, plain, said
+from bench.certificate.content import Before, Certificate, Issue
+from bench.certificate.dcc.nodes import NAMESPACES, VERSION, Node, byte_data, node, plain, said
 from bench.certificate.dcc.results import measurement_results
 from bench.certificate.laboratory import Contact, Laboratory, Order, Texts, UnitOrder
 
@@ -251,15 +250,4 @@ def _record(certificate: Certificate) -> Node:
         node("dcc:declaration", *about, *sealed),
         node("dcc:data", byte_data(seal)),
         refType="bench_record",
-    )
-
-
-def byte_data(file: Attached) -> Node:
-    """Return a file as a DCC holds it."""
-    return node(
-        "dcc:byteData",
-        node("dcc:name", plain(file.description)),
-        node("dcc:fileName", file.name),
-        node("dcc:mimeType", file.media_type),
-        node("dcc:dataBase64", base64.b64encode(file.content).decode()),
     )

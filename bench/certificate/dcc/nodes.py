@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import math
 import re
 from collections.abc import Iterable, Sequence
@@ -11,6 +12,7 @@ from typing import Final
 from lxml import etree
 
 from bench.base.text import visible
+from bench.certificate.content import Attached
 from bench.certificate.laboratory import Texts
 
 VOLT: Final = r"\volt"
@@ -237,4 +239,15 @@ def ellipsoidal(
             node("si:coverageFactorXMLList", positional(k)),
             node("si:coverageProbabilityXMLList", positional(probability)),
         ),
+    )
+
+
+def byte_data(file: Attached) -> Node:
+    """Return a file as a DCC holds it."""
+    return node(
+        "dcc:byteData",
+        node("dcc:name", plain(file.description)),
+        node("dcc:fileName", file.name),
+        node("dcc:mimeType", file.media_type),
+        node("dcc:dataBase64", base64.b64encode(file.content).decode()),
     )

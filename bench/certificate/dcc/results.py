@@ -24,7 +24,17 @@ from bench.certificate.content import (
     stated,
 )
 from bench.certificate.dcc import nodes
-from bench.certificate.dcc.nodes import Node, ellipsoidal, node, plain, real, real_list, said, si_unit
+from bench.certificate.dcc.nodes import (
+    Node,
+    byte_data,
+    ellipsoidal,
+    node,
+    plain,
+    real,
+    real_list,
+    said,
+    si_unit,
+)
 from bench.certificate.laboratory import Texts
 from bench.readings.table import Readings
 
@@ -146,8 +156,6 @@ def _condition(texts: Sequence[Texts], one: Condition, status: str) -> Node:
 
 
 def _results(certificate: Certificate, found: Found, prefix: str) -> Iterator[Node]:
-    from bench.certificate.dcc.document import byte_data
-
     texts = certificate.texts
     for key, values in (
         ("coefficients", found.coefficients),

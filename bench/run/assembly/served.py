@@ -40,7 +40,7 @@ from drivers.person import Answer, Person, Prompt, WatchingPerson
 from drivers.wire.resources import Holding
 from drivers.wire.visa import MessageSession, Wire
 from sim.bench import SimulatedBench
-from sim.wires.control import BenchControl
+from sim.control import BenchControl
 from sim.wires.server import TERMINALS, TcpServer
 from sim.wires.session import ServedInstrument as Wired
 from sim.world.clock import ScaledClock, VirtualClock

@@ -17,8 +17,8 @@ from bench.model import Block, ForwardModel
 from bench.model.geometry import INSTALLATION_1
 from sim.agilent_34401a import Agilent34401A
 from sim.bench import SimulatedBench
+from sim.control import BenchControl
 from sim.scpi import never
-from sim.wires.control import BenchControl
 from sim.wires.faults import Fault, FaultKind, FaultyInstrument
 from sim.world.clock import VirtualClock
 from sim.world.power import PowerSettings, Rail
