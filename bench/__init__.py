@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from bench.results.budget import BudgetResult as BudgetResult
     from bench.results.control_chart import CheckBlockChart as CheckBlockChart
     from bench.run.events import RecordError as RecordError
-    from bench.services.budget import budget as budget
     from bench.services.calibration import CalibrationResult as CalibrationResult
     from bench.services.calibration import Coefficient as Coefficient
     from bench.services.check_block import chart as chart
@@ -44,14 +43,15 @@ if TYPE_CHECKING:
     from bench.services.face import load_bench as load_bench
     from bench.services.face import read_readings as read_readings
     from bench.services.face import verify as verify
-    from bench.services.learning import LearningResult as LearningResult
-    from bench.services.learning import learn as learn
+    from bench.services.history import LearningResult as LearningResult
+    from bench.services.history import learn as learn
+    from bench.services.planning import budget as budget
     from bench.services.verification import VerificationResult as VerificationResult
 
 _HOMES: Final = {
     "bench.calibration": ("CalibrationError",),
     "bench.results.budget": ("BudgetResult",),
-    "bench.services.budget": ("budget",),
+    "bench.services.planning": ("budget",),
     "bench.services.calibration": ("CalibrationResult", "Coefficient"),
     "bench.results.control_chart": ("CheckBlockChart",),
     "bench.services.check_block": ("chart",),
@@ -62,7 +62,7 @@ _HOMES: Final = {
         "DryRun", "calibrate", "confirm", "diagnose", "diagnose_each", "dry_run", "load_bench",
         "read_readings", "verify",
     ),
-    "bench.services.learning": ("LearningResult", "learn"),
+    "bench.services.history": ("LearningResult", "learn"),
     "bench.services.verification": ("VerificationResult",),
     "bench.base.yaml_files": ("FileMistakes",),
     "bench.config.bench_file.file": ("BenchFile",),

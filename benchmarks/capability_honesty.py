@@ -14,8 +14,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bench.history.capability import YEAR, capability
-from bench.history.equivalence import Measured
+from bench.history.equivalence import YEAR, Measured, capability
 from bench.stats.crossed_effects import EXCESS, Crossing, fit
 from bench.stats.unit_histories import Spread
 from benchmarks.campaign import Share, arguments

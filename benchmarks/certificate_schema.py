@@ -21,7 +21,7 @@ from lxml import etree
 
 from bench.certificate.content import Before, Certificate, Issue
 from bench.certificate.dcc.document import document_of
-from bench.certificate.dcc.rules import Schemas, broken_rules, parser, read_schemas
+from bench.certificate.dcc.nodes import Schemas, broken_rules, parser, read_schemas
 from bench.certificate.gather import certificate_of
 from bench.certificate.laboratory import Adjusted, texts_of
 from bench.certificate.life import Desk

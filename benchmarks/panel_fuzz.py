@@ -29,9 +29,8 @@ from urllib.parse import quote, urlencode
 
 from bench.panel import app as connections
 from bench.panel.access import LARGEST_BODY, STATE, Access, Person, Role, Settings
-from bench.panel.app import make_app, prepare
+from bench.panel.app import config_of, make_app, prepare
 from bench.panel.holding import JOURNAL
-from bench.panel.serving import config_of
 from bench.panel.shared import LOG
 from bench.run.events import EVENTS
 from bench.run.person import ANSWERS, CONTROL, asked_to_json, problem_with_answer

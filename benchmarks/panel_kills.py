@@ -22,8 +22,8 @@ from typing import Any
 import httpx
 
 from bench.panel.access import STATE, Access, Role
+from bench.panel.app import begin_panel, url_of
 from bench.panel.launching import Started, start
-from bench.panel.serving import begin_panel, url_of
 from bench.run.events import EVENTS
 from bench.run.folder import Run
 from bench.run.person import open_prompt

@@ -22,7 +22,7 @@ from bench.config.shipped import find_bench, find_procedure
 from bench.model import Distribution, ForwardModel, Mounting
 from bench.planning.optimal_design import Goal, Stand, coefficient_goals, vector_goal
 from bench.planning.points import Points, Sites, Times, best_within, cheapest
-from bench.planning.settings import Setting, conditions_of, fitted, settings_of
+from bench.planning.requirements import Setting, conditions_of, fitted, settings_of
 
 ANGLES = 24
 COUNTED = Times().cost(50.0, verified=False)

@@ -6,7 +6,7 @@
         model: Annotated[Path, Option("Model file of 'diagnose'.", metavar="FOUND")]
         g: Annotated[float | None, Option("Local gravity, m/s².", metavar="M/S2")] = None
 
-Made of it are the command line (`bench.cli.requested`), the Python face and the panel's forms. Nothing heavy is
+Made of it are the command line (`bench.cli.options`), the Python face and the panel's forms. Nothing heavy is
 imported here: a command's help needs no more than its request.
 """
 

@@ -20,7 +20,7 @@ from bench.base.files import read_given, read_regular
 from bench.calibration import CalibrationError
 from bench.calibration.conformity import SIMPLE, DecisionRule
 from bench.certificate.content import Found
-from bench.certificate.dcc.shown import Shown, shown_of
+from bench.certificate.dcc.results import Shown, shown_of
 from bench.certificate.gather import found_by
 from bench.certificate.page import DCC, RELATIONS, faults_of
 from bench.certificate.register import LINES, Register

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from bench.base.computing import one_thread
-from bench.cli import printing, progress
-from bench.cli.options import JsonOption, WithEstimators
-from bench.cli.requested import requested
+from bench.cli import printing
+from bench.cli.options import JsonOption, WithEstimators, requested
 from bench.services.requests.documents import Batch, BatchCalibrate, BatchDiagnose, BatchReport
 
 if TYPE_CHECKING:
@@ -70,7 +69,7 @@ def _carried_out(request: Batch, json: str | None) -> BatchResult:
     from bench.batch.outcome import carried_out
 
     printing.check_target(json)
-    with progress.shown(), progress.in_lines():
+    with printing.progress(), printing.in_lines():
         result = carried_out(request, printing.notes_aside)
     return _told(result, request.out, json)
 

@@ -7,8 +7,7 @@ from typing import Final
 import typer
 
 from bench.cli import printing
-from bench.cli.options import JsonOption
-from bench.cli.requested import requested
+from bench.cli.options import JsonOption, requested
 from bench.services.requests.documents import Ask, DueUnits, Sync, Unit
 
 GROUP: Final = typer.Typer(

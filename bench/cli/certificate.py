@@ -8,8 +8,7 @@ import typer
 from typer.core import TyperGroup
 
 from bench.cli import printing
-from bench.cli.options import JsonOption
-from bench.cli.requested import requested
+from bench.cli.options import JsonOption, requested
 from bench.services.requests.documents import (
     AmendCertificate,
     CheckRegister,
@@ -177,6 +176,6 @@ def read(request: ReadCertificate, json: JsonOption = None) -> int:
 
 def _desk(request: Issuing) -> Desk:
     from bench.certificate.life import desk_of
-    from bench.cli.passphrase import passphrase
+    from bench.cli.printing import passphrase
 
     return desk_of(request, lambda: passphrase("Passphrase of the key: "))

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bench.base.computing import one_thread
-from bench.cli import printing, progress
-from bench.cli.options import JsonOption, app
-from bench.cli.requested import requested
-from bench.services.requests.diagnosis import Accept, Diagnose
-from bench.services.requests.evaluation import Confirm
+from bench.cli import printing
+from bench.cli.options import JsonOption, app, requested
+from bench.services.requests.evaluation import Accept, Confirm, Diagnose
 
 if TYPE_CHECKING:
     from bench.services.diagnosis import Diagnosed
@@ -48,7 +46,7 @@ def carried_out(request: Diagnose, target: str | None, *, together: bool) -> lis
     printing.check_target(target)
     bodies = [whole_body(request)] if together else single_bodies(request)
     printing.bench_files([body.source for body in done(bodies)], target)
-    with progress.shown():
+    with printing.progress():
         results = diagnosed(replace(request, write=True), bodies)
     printing.notes_aside(note for one in done(results) for note in one.not_written)
     printing.write_json([one.to_dict() for one in results], target)
@@ -67,7 +65,7 @@ def confirm(request: Confirm, json: JsonOption = None) -> int:
     printing.check_target(json)
     (source,) = load_sources(reading(request, request.source))
     printing.bench_files([source], json)
-    with progress.shown():
+    with printing.progress():
         result = confirmation_of(source)
     printing.write_json([result.to_dict()], json)
     result.print_on(printing.console(json=json))

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from bench.cli import printing
-from bench.cli.options import JsonOption, OutOption, StrictFitOption, WithEstimators, app
-from bench.cli.requested import requested
+from bench.cli.options import JsonOption, OutOption, StrictFitOption, WithEstimators, app, requested
 from bench.services.errors import Refused
 from bench.services.requests.evaluation import (
     Calibrate,

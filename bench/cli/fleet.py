@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from bench.cli import printing
-from bench.cli.options import JsonOption, OutOption
-from bench.cli.requested import requested
+from bench.cli.options import JsonOption, OutOption, requested
 from bench.services.errors import Refused
 from bench.services.requests.history import Capability, CompareBenches, DriftOfUnit, OfFleet
 
@@ -52,7 +51,7 @@ def compare(
     """Benches against one another on common units: degrees of equivalence, E_n, Birge ratio."""
     from bench.base.files import to_text
     from bench.catalogue.values import compared
-    from bench.results.fleet_compare import benches_result, equivalence_figure, print_benches
+    from bench.results.compare import benches_result, equivalence_figure, print_benches
 
     printing.check_target(json)
     found = compared(_table(request), _method(request.reference))
@@ -80,7 +79,7 @@ def prior(
     json: JsonOption = None,
 ) -> int:
     """What the units of a type tell of a further one, as a file for 'bench calibrate --prior'."""
-    from bench.history.prior import prior_of
+    from bench.history.bench_or_block import prior_of
     from bench.results.fleet import print_prior, prior_result
 
     printing.check_target(json)
@@ -119,7 +118,7 @@ def drift(request: DriftOfUnit, json: JsonOption = None) -> int:
 @requested
 def cmc(request: Capability, json: JsonOption = None) -> int:
     """The laboratory's calibration and measurement capability, from its history (ILAC-P14)."""
-    from bench.history.capability import capability
+    from bench.history.equivalence import capability
     from bench.results.fleet import capability_result, print_capability
 
     printing.check_target(json)

@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from bench.cli import printing, progress
-from bench.cli.options import JsonOption, OutOption, app
-from bench.cli.requested import requested
+from bench.cli import printing
+from bench.cli.options import JsonOption, OutOption, app, requested
 from bench.services.errors import Refused
 from bench.services.requests.history import Chart, Compare, Learn, Stability
 
@@ -32,7 +31,7 @@ def chart(
     found.print_on(out)
     if page is not None:
         from bench.base.files import write_whole
-        from bench.results.control_chart_page import render_chart
+        from bench.results.control_chart import render_chart
 
         write_whole(page, render_chart(found))
         printing.written("page", page, out)
@@ -82,7 +81,7 @@ def learn(
 ) -> int:
     """What many runs tell of one bench: its stand, noise, head; as a file that its bench file takes."""
     from bench.results.parts import print_notes
-    from bench.services.learning import learning_of
+    from bench.services.history import learning_of
     from bench.services.source import load_sources, reading
 
     printing.check_target(json)
@@ -115,7 +114,7 @@ def stability(request: Stability, json: JsonOption = None, out: OutOption = None
     from bench.services.history import at_rest
 
     printing.check_target(json)
-    with progress.shown():
+    with printing.progress():
         found = at_rest(request)
     on = printing.console(json=json)
     printing.bench_file(found.taken, json)

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Final
 
 from bench.base.files import read_regular
 from bench.cli import printing
-from bench.cli.options import JsonOption, app
-from bench.cli.requested import requested
+from bench.cli.options import JsonOption, app, requested
 from bench.services.errors import Refused
 from bench.services.requests.measuring import InstrumentsRequest, SimulateRequest
 
@@ -61,7 +60,7 @@ def look(bench: str | None, target: str | None = None, wire_log: Path | None = N
     Raises `Refused` without a bench file, `FileMistakes`, `OSError` for a wire log that cannot be.
     """
     from bench.config.bench_file.file import load_bench
-    from bench.results.instruments import InstrumentsResult
+    from bench.results.records import InstrumentsResult
     from bench.run.interrupts import Interrupts
     from bench.services.bench_selection import bench_path
     from bench.services.instruments import look_at
@@ -110,7 +109,7 @@ def _commission(request: InstrumentsRequest, target: str | None) -> int:
     """
     from bench.base.text import visible
     from bench.config.bench_file.file import load_bench
-    from bench.results.instruments import VERDICTS
+    from bench.results.records import VERDICTS
     from bench.run.commission.session import WISHES
     from bench.run.terminal import TerminalPerson
     from bench.services.bench_selection import bench_path
@@ -256,7 +255,7 @@ def _held(host: str, port: int | None) -> Iterator[None]:
 @contextmanager
 def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
     """Write the ready file, whole from its first moment; take it away again when it is still ours."""
-    from bench.results.instruments import ReadyResult, ServedPart
+    from bench.results.records import ReadyResult, ServedPart
 
     if ready_file is None:
         yield

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bench.cli import printing
-from bench.cli.options import RUNS, JsonOption, LatestRun, RunArgument, RunsOption, app
+from bench.cli.options import RUNS, JsonOption, LatestRun, RunArgument, RunsOption, app, requested
 from bench.cli.panel import link_to
-from bench.cli.requested import requested
 from bench.services.errors import Refused
-from bench.services.requests.diagnosis import Diagnose
+from bench.services.requests.evaluation import Diagnose
 from bench.services.requests.measuring import ResumeRequest, RunRequest
 
 if TYPE_CHECKING:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from bench.cli import printing
-from bench.cli.options import app
-from bench.cli.requested import requested
+from bench.cli.options import app, requested
 from bench.services.errors import Refused
 from bench.services.requests.documents import PeopleCommand, ServePanel
 from bench.services.requests.shared import runs_folder
@@ -18,7 +17,7 @@ def panel(request: ServePanel) -> int:
     """Serve the operator's panel in a browser over a folder of runs; make the tokens of who may come in."""
     refuse_without_packages()
     from bench.panel.access import Settings
-    from bench.panel.serving import serve
+    from bench.panel.app import serve
 
     if request.what is not None:
         return _of_people(request, request.what)
@@ -41,7 +40,7 @@ def link_to(run: str, runs: Path) -> str:
     refuse_without_packages()
     from urllib.parse import quote
 
-    from bench.panel.serving import open_panel
+    from bench.panel.app import open_panel
     from bench.run.events import RecordError
 
     try:
@@ -53,7 +52,7 @@ def link_to(run: str, runs: Path) -> str:
 def _of_people(request: ServePanel, what: PeopleCommand) -> int:
     """Make, list or take back what people sign in with."""
     from bench.panel.access import STATE, Access, Role
-    from bench.panel.serving import link_of
+    from bench.panel.app import link_of
 
     out, name, runs = printing.console(), request.name or "", runs_folder(request.runs)
     if what in {PeopleCommand.TOKEN, PeopleCommand.REVOKE} and not name:

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.cli import printing, progress
-from bench.cli.options import JsonOption, OutOption, WithEstimators, app, devices_given
-from bench.cli.requested import requested
+from bench.cli import printing
+from bench.cli.options import JsonOption, OutOption, WithEstimators, app, devices_given, requested
 from bench.services.errors import Refused
 from bench.services.requests.planning import Budget, Check, Init, PlanPoints, Require
 
@@ -88,8 +87,8 @@ def budget(request: Budget, json: JsonOption = None, out: OutOption = None) -> i
     With --rule the exit status is 1 when the check at the verification points cannot be passed with 95 %.
     """
     printing.check_target(json)
-    with progress.shown():
-        from bench.services.budget import budget_of
+    with printing.progress():
+        from bench.services.planning import budget_of
 
         found = budget_of(request)
     _say_bench(found.bench_file, json)
@@ -122,8 +121,8 @@ def _write_page(folder: Path, found: BudgetResult, out: Console) -> None:
 def require(request: Require, json: JsonOption = None) -> int:
     """How large each error of the bench may be for an accuracy; exit status 1 when it is not kept now."""
     printing.check_target(json)
-    with progress.shown():
-        from bench.services.budget import requirements
+    with printing.progress():
+        from bench.services.planning import requirements
 
         found = requirements(request)
     _say_bench(found.result.bench_file, json)
@@ -137,8 +136,8 @@ def require(request: Require, json: JsonOption = None) -> int:
 def plan_points(request: PlanPoints, json: JsonOption = None) -> int:
     """Test points that reach an uncertainty in the least bench time, or the most in a given time."""
     printing.check_target(json)
-    with progress.shown():
-        from bench.services.points import planned
+    with printing.progress():
+        from bench.services.planning import planned
 
         found = planned(request)
     _say_bench(found.result.bench_file, json)

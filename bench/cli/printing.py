@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from bench.base.computing import quiet
+from bench.base.computing import heard_by, quiet
 from bench.base.text import bounded, visible
 from bench.services.errors import Refused
+from drivers.clock import Clock, SystemClock
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -190,3 +193,89 @@ def report(
     write_whole(file, page)
     written("report", file, out)
     return verdict, file
+
+
+_REMEMBERED_S: Final = 3600.0
+"""A part may take minutes: how fast the last ones were done is remembered for so long."""
+
+
+@contextmanager
+def progress(console: Console | None = None, clock: Clock | None = None) -> Iterator[None]:
+    """Show what is computed, how much of it is done and the time left, as long as the context lasts.
+
+    On a terminal only (standard error's, if no console is given), never with --quiet; nothing of it stays.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+
+    console = console or Console(stderr=True)
+    if not console.is_terminal or quiet.get():
+        yield
+        return
+    bar = Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeRemainingColumn(),
+        TextColumn("left"),
+        console=console,
+        transient=True,
+        speed_estimate_period=_REMEMBERED_S,
+        get_time=(clock or SystemClock()).now_s,
+    )
+    task = bar.add_task("…", total=None)
+
+    def hear(what: str, done: int, total: int) -> None:
+        if what != bar.tasks[0].description:
+            bar.reset(task, description=what, total=total)
+        bar.update(task, completed=done, refresh=True)
+
+    with bar, heard_by(hear):
+        yield
+
+
+EVERY_S: Final = 30.0
+
+
+@contextmanager
+def in_lines(clock: Clock | None = None) -> Iterator[None]:
+    """Say on standard error what `shown` shows, where that is no terminal: a line now and then, for a log.
+
+    For what may take hours. Never with --quiet.
+    """
+    if sys.stderr.isatty() or quiet.get():
+        yield
+        return
+    clock = clock or SystemClock()
+    began_s = said_s = clock.now_s()
+
+    def hear(what: str, done: int, total: int) -> None:
+        nonlocal said_s
+        now_s = clock.now_s()
+        if done and now_s - said_s >= EVERY_S:
+            left_s = round((now_s - began_s) / done * (total - done))
+            print(
+                f"{done:,} of {total:,} {what}, {timedelta(seconds=left_s)} left", file=sys.stderr, flush=True
+            )
+            said_s = now_s
+
+    with heard_by(hear):
+        yield
+
+
+def passphrase(question: str, again: str = "") -> bytes:
+    """Ask for a passphrase, twice where `again` asks for it once more. Raises `Refused` for none, or for two."""
+    typed = _line(question)
+    if not typed:
+        raise Refused("a passphrase is wanted, and none was given")
+    if again and _line(again) != typed:
+        raise Refused("the two passphrases are not the same; begin again")
+    return typed.encode()
+
+
+def _line(question: str) -> str:
+    if sys.stdin.isatty():
+        from getpass import getpass
+
+        return getpass(question)
+    return sys.stdin.readline().rstrip("\r\n")

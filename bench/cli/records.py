@@ -78,7 +78,7 @@ def seal(
     runs: RunsOption = RUNS,
 ) -> int:
     """Seal a run that has ended: note the head of its chain, signed with a key, stamped with the time."""
-    from bench.cli.passphrase import passphrase as typed
+    from bench.cli.printing import passphrase as typed
     from bench.run.folder import find_run
     from bench.services.records import seal_run
 
@@ -117,7 +117,7 @@ def key(
     ] = None,
 ) -> int:
     """Make the laboratory's key (Ed25519, PEM), with which 'bench seal' signs; or one that signs certificates."""
-    from bench.cli.passphrase import passphrase as typed
+    from bench.cli.printing import passphrase as typed
     from bench.run.seal import new_key
     from drivers.clock import utc_now
 

@@ -21,7 +21,7 @@ from bench.calibration.result import CalibrationError, Noise
 from bench.calibration.verification import modulus_slopes
 from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardModel
 from bench.model.geometry import COEFFICIENTS
-from bench.planning.settings import Setting, conditions_of
+from bench.planning.requirements import Setting, conditions_of
 
 DIRECTIONS: Final = 128
 """Directions over which an acceleration is taken."""

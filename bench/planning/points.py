@@ -36,7 +36,7 @@ from bench.planning.optimal_design import (
     whitened,
     worst,
 )
-from bench.planning.settings import Cost, Setting, conditions_of
+from bench.planning.requirements import Cost, Setting, conditions_of
 from bench.readings.table import VERIFICATION
 
 _EVENLY_MOST: Final = 4

@@ -24,7 +24,7 @@ from bench.planning.optimal_design import (
     whitened,
     widening,
 )
-from bench.planning.settings import Setting, conditions_of
+from bench.planning.requirements import Setting, conditions_of
 from bench.readings.table import UNORIENTED, VERIFICATION
 
 _LEFT_OUT_WITH_IT: Final = (Level, Mount, Wait, Settle)

@@ -27,8 +27,7 @@ from bench.model.geometry import COEFFICIENTS
 from bench.results import tables
 from bench.results.parts import BenchPart
 from bench.results.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, drawn, svg_figure, symbol
-from bench.results.tables import Row
-from bench.results.template import page
+from bench.results.tables import Row, page
 from bench.results.verification import rule_in_words
 
 if TYPE_CHECKING:

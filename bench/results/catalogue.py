@@ -225,7 +225,7 @@ _RUN_COLUMNS: Final = (
 
 def unit_page(result: UnitResult) -> str:
     """Return the page of a unit (HTML); the same result gives the same text."""
-    from bench.results.template import page
+    from bench.results.tables import page
 
     calibrations = result.calibrations
     return page(

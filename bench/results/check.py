@@ -18,8 +18,8 @@ from bench.config.procedure.check import switched_before
 from bench.config.procedure.plan import KINDS, Plan, Read, Step, Turn
 from bench.config.procedure.steps import scan_in_words
 from bench.model.geometry import COEFFICIENTS
-from bench.planning.settings import Outlook, Remedy
-from bench.planning.time_outlook import QUANTILES, TimeOutlook
+from bench.planning.choice import QUANTILES, TimeOutlook
+from bench.planning.requirements import Outlook, Remedy
 from bench.run.sentences import duration
 
 _REMEDIES_LISTED: Final = 2

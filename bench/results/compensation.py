@@ -16,8 +16,13 @@ from bench.base.numbers import fixed, places, scale_for
 from bench.base.result_model import Matrix, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.result import INVERSE, SourceOfError
-from bench.calibration.temperature.model import PlateauResult, TemperatureModel, ThermalHysteresis
-from bench.calibration.temperature.table import CompensationTable, approximation
+from bench.calibration.temperature.model import (
+    CompensationTable,
+    PlateauResult,
+    TemperatureModel,
+    ThermalHysteresis,
+    approximation,
+)
 from bench.calibration.verification import Verification
 from bench.model.geometry import COEFFICIENTS
 from bench.results.parts import (

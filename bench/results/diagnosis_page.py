@@ -44,8 +44,7 @@ from bench.results.plots import (
     sd_of_reading,
     svg_figure,
 )
-from bench.results.tables import Row, symbol
-from bench.results.template import page
+from bench.results.tables import Row, page, symbol
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -25,8 +25,7 @@ from bench.results.diagnosis_parts import FoundPart, GapPart, VerdictOfCopy, gap
 from bench.results.diagnosis_words import NO_FILES, Files
 from bench.results.parts import BenchPart, CorrectionPart
 from bench.results.plots import BLUE, GREY, PASS_COLOURS, PASS_FILLS, VERMILION, legend_of, svg_figure
-from bench.results.tables import Row, symbol
-from bench.results.template import page
+from bench.results.tables import Row, page, symbol
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,7 +14,7 @@ from bench.calibration.conformity import Statement
 from bench.calibration.result import Calibration, LackOfFit
 from bench.calibration.verification import Verification
 from bench.results import plots, tables
-from bench.results.template import page
+from bench.results.tables import page
 from bench.results.verification import advice, global_risk_in_words, headline, risk_in_words, rule_in_words
 
 

@@ -4,13 +4,26 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from bench.base.arrays import ARCSEC, CHANNELS, u_of
-from bench.base.numbers import aligned, concise, fixed, places, quantity, rounded, scale_for, uncertainty
+from bench.base.numbers import (
+    aligned,
+    concise,
+    fixed,
+    places,
+    quantity,
+    rounded,
+    scale_for,
+    typeset,
+    uncertainty,
+)
+from bench.base.text import visible
 from bench.calibration import Calibration, Estimate, Noise, Verification
 from bench.calibration.budget.propagation import correlation_of
 from bench.calibration.design import SYMBOLS
@@ -361,3 +374,25 @@ def noise(calibration: Calibration) -> dict[str, str]:
         "rms": quantity(calibration.lack_of_fit.rms, calibration.unit),
         "channels": ", ".join(CHANNELS),
     }
+
+
+def page(name: str, **content: Any) -> str:
+    """Return the page that a template of this folder makes of its content.
+
+    What a page does not give to it is an error. All is escaped, and no character in it acts unseen.
+    """
+    return visible(_templates().get_template(name).render(**content))
+
+
+@cache
+def _templates() -> Environment:
+    """Return the templates, which compiles each of them once a program."""
+    environment = Environment(
+        loader=PackageLoader("bench.results", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["typeset"] = typeset
+    return environment

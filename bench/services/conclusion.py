@@ -18,9 +18,9 @@ from bench.run.folder import BENCH, IMPORTED, RESULTS, Run, checked_name
 from bench.run.interrupts import Interrupts
 from bench.run.record import Record
 from bench.services.bench_selection import SUFFIX, BenchTaken, bench_of, is_told, origin_beside, own_bench
+from bench.services.bodies import told_in_words
 from bench.services.calibration import CalibrationResult, calibration_of, report_page
 from bench.services.check_block import chart_of, check_block_runs, is_check_block
-from bench.services.early_mistakes import told_in_words
 from bench.services.errors import Refused
 from bench.services.records import versions
 from bench.services.source import Request, Source, load_sources

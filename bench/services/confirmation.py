@@ -18,7 +18,7 @@ from bench.diagnosis.free_positions import all_free, confirm_free
 from bench.diagnosis.free_records import OUTLIER, FreeDiagnosis
 from bench.diagnosis.mistakes.search import Mistake
 from bench.results.confirm import confirm_result, print_confirmation
-from bench.services.early_mistakes import put_right
+from bench.services.bodies import put_right
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_of
 from bench.services.source import Source, data_sha256

@@ -42,11 +42,10 @@ from bench.results import diagnosis_words as words
 from bench.results import free_diagnosis as free
 from bench.results.diagnosis_words import NO_FILES, Files
 from bench.services.bench_selection import SUFFIX
-from bench.services.bodies import Body, whole_body
-from bench.services.early_mistakes import put_right
+from bench.services.bodies import Body, put_right, whole_body
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_in, knowing_effects_of
-from bench.services.requests.diagnosis import Diagnose
+from bench.services.requests.evaluation import Diagnose
 from bench.services.source import Failed, Source, attempted, data_sha256, done, provenance
 
 T = TypeVar("T")

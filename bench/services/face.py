@@ -34,8 +34,7 @@ from bench.services.calibration import (
 from bench.services.confirmation import ConfirmationResult, confirmation_of
 from bench.services.diagnosis import Diagnosed, diagnosed, diagnosed_alone
 from bench.services.own_effects import knowing_effects_in
-from bench.services.requests.diagnosis import Diagnose
-from bench.services.requests.evaluation import Calibrate, Confirm, Verify
+from bench.services.requests.evaluation import Calibrate, Confirm, Diagnose, Verify
 from bench.services.requests.measuring import DryRunRequest, RunRequest
 from bench.services.source import Failed, Request, Source, load_sources, reading
 from bench.services.verification import Asked, VerificationResult

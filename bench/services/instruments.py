@@ -15,7 +15,7 @@ from bench.base.files import to_text, write_whole
 from bench.base.numbers import without_infinity
 from bench.config.bench_file.file import BenchFile
 from bench.config.devices.sections import ChamberForm, HeadForm, SupplyForm
-from bench.results.instruments import (
+from bench.results.records import (
     CommissionedPart,
     CommissionResult,
     FailurePart,

@@ -19,7 +19,7 @@ from bench.model.effects import CATALOGUE
 from bench.model.effects.base import PASS
 from bench.run.folder import EFFECTS, Run
 from bench.services.errors import Refused
-from bench.services.requests.diagnosis import Accept
+from bench.services.requests.evaluation import Accept
 
 if TYPE_CHECKING:
     from bench.services.source import Source

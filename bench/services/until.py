@@ -30,7 +30,15 @@ from bench.config.shipped import find_procedure
 from bench.model.conditions import Mounting
 from bench.model.effects import CATALOGUE
 from bench.model.forward import ForwardModel
-from bench.planning.choice import REACHED, Chooser, Standing, scale_of, telling_apart
+from bench.planning.choice import (
+    REACHED,
+    Chooser,
+    Standing,
+    TimeOutlook,
+    scale_of,
+    telling_apart,
+    time_outlook,
+)
 from bench.planning.optimal_design import (
     Goal,
     Stand,
@@ -52,8 +60,7 @@ from bench.planning.pool import (
     reached_by,
     with_hidden,
 )
-from bench.planning.settings import Cost, Outlook, outlook, settings_of
-from bench.planning.time_outlook import TimeOutlook, time_outlook
+from bench.planning.requirements import Cost, Outlook, outlook, settings_of
 from bench.readings.table import VERIFICATION
 from bench.results.check import (
     CheckResult,
@@ -73,7 +80,7 @@ from bench.run.sentences import size_in_words
 from bench.services.bench_selection import bench_path
 from bench.services.calibration import CalibrationResult, calibration_of
 from bench.services.errors import Refused, named, quantity
-from bench.services.points import delta_g_of, stand_of
+from bench.services.planning import delta_g_of, stand_of
 from bench.services.requests.planning import Check
 from bench.services.requests.shared import runs_folder
 from bench.services.source import Request, load_sources

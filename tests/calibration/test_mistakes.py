@@ -19,7 +19,7 @@ from bench.config.shipped import find_bench, find_procedure
 from bench.diagnosis.mistakes.search import find_mistakes
 from bench.model import ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
-from bench.planning.settings import MOST_MOUNTINGS, Cost, fitted, outlook, settings_of
+from bench.planning.requirements import MOST_MOUNTINGS, Cost, fitted, outlook, settings_of
 from bench.readings.csv import read_csv, write_csv
 from bench.readings.table import make_readings, stacked
 from tests.support.honest_runs import MODEL, free_forces

@@ -56,7 +56,7 @@ def test_a_certificate_is_issued_once_and_handed_out_again(bench, desk):
 def test_the_unsigned_certificate_is_made_again_byte_for_byte(bench, desk, tmp_path):
     key = tmp_path / "keys" / "laboratory.pem"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bench.cli.passphrase.passphrase", lambda *_: b"", raising=True)
+        patch.setattr("bench.cli.printing.passphrase", lambda *_: b"", raising=True)
         from bench.certificate.signatory import new_certificate_key
         from drivers.clock import utc_now
 

@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from bench.base.computing import heard_by, quiet, tracked
-from bench.cli import progress
+from bench.cli import printing
 from bench.cli.app import explain
 from bench.cli.commands import COMMANDS, HEADINGS
 from tests.support.pages import ROOT
@@ -156,7 +156,7 @@ class StoppedClock:
 
 def test_progress_says_how_much_time_is_left():
     clock, console = StoppedClock(), Console(file=io.StringIO(), force_terminal=True, width=100)
-    with progress.shown(console, clock):
+    with printing.progress(console, clock):
         for _ in tracked(range(10), "ten parts"):
             clock.sleep(60.0)
             console.print("part")
@@ -170,7 +170,7 @@ def test_progress_is_silent_without_a_terminal_and_when_quiet_is_asked_for():
         console = Console(file=io.StringIO(), force_terminal=terminal)
         before = quiet.set(hushed)
         try:
-            with progress.shown(console, StoppedClock()):
+            with printing.progress(console, StoppedClock()):
                 assert list(tracked("abc", "letters")) == ["a", "b", "c"]
         finally:
             quiet.reset(before)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bench.panel.access import STATE, Settings, is_loopback
-from bench.panel.serving import LOCK, SERVER, new_link, open_panel, serve
+from bench.panel.app import LOCK, SERVER, new_link, open_panel, serve
 from bench.run.events import RecordError
 
 
@@ -88,7 +88,7 @@ def test_beyond_loopback_it_says_how_to_put_tls_before_it_and_gives_no_link(tmp_
 def test_one_panel_serves_a_folder(tmp_path, served, monkeypatch):
     from filelock import FileLock
 
-    monkeypatch.setattr("bench.panel.serving.LOOKS_S", 0.0)
+    monkeypatch.setattr("bench.panel.app.LOOKS_S", 0.0)
     served(Settings(tmp_path, port=0))
     with FileLock(tmp_path / STATE / LOCK):
         with pytest.raises(RecordError, match=r"a panel serves this folder already at http://127\.0\.0\.1"):

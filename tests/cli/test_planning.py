@@ -12,7 +12,7 @@ from bench.config.bench_file.file import load_bench
 from bench.config.procedure.check import check as check_against
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench
-from bench.planning.settings import fitted, settings_of, verifying
+from bench.planning.requirements import fitted, settings_of, verifying
 from tests.support.pages import ROOT
 
 
@@ -56,7 +56,7 @@ def test_the_dry_run_that_is_offered_has_the_folder_of_devices(bench):
 @pytest.fixture
 def without_alternatives(monkeypatch):
     """Other procedures take most of the time of a requirement."""
-    monkeypatch.setattr("bench.services.budget.PROCEDURES", ())
+    monkeypatch.setattr("bench.services.planning.PROCEDURES", ())
 
 
 def one_sigma():

@@ -72,7 +72,7 @@ def lines() -> Iterator[list[str]]:
 @pytest.mark.slow
 def test_every_shell_line_in_its_order(bench, on_simulated_instruments, monkeypatch):
     served = []
-    monkeypatch.setattr("bench.panel.serving.serve", lambda settings, tell: served.append(settings.runs))
+    monkeypatch.setattr("bench.panel.app.serve", lambda settings, tell: served.append(settings.runs))
     monkeypatch.setattr("bench.cli.panel.refuse_without_packages", lambda: None)
     for words in lines():
         follow(words, bench)

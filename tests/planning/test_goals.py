@@ -14,7 +14,7 @@ from bench.planning.optimal_design import (
     modulus_goals,
     vector_goal,
 )
-from bench.planning.settings import conditions_of
+from bench.planning.requirements import conditions_of
 from tests.support.paper_bench import ARCSEC, K
 from tests.support.planning_bench import PAPER, SIZES, STAND
 

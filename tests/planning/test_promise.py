@@ -15,9 +15,9 @@ from bench.config.shipped import find_bench, find_procedure
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.planning.optimal_design import checks_of, coefficient_goals, repeats, widening
-from bench.planning.settings import conditions_of, fitted, settings_of
+from bench.planning.requirements import conditions_of, fitted, settings_of
 from bench.readings.table import make_readings
-from bench.services.points import delta_g_of, stand_of
+from bench.services.planning import delta_g_of, stand_of
 from drivers.clock import utc_now
 
 

@@ -10,12 +10,20 @@ from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.model import CATALOGUE, ForwardModel
-from bench.planning.choice import REACHED, TIME, USED_UP, Scale, Standing, scale_of, telling_apart
+from bench.planning.choice import (
+    REACHED,
+    TIME,
+    USED_UP,
+    Scale,
+    Standing,
+    scale_of,
+    telling_apart,
+    time_outlook,
+)
 from bench.planning.optimal_design import coefficient_goals
 from bench.planning.pool import Reached, Visits, pool_of
-from bench.planning.time_outlook import time_outlook
 from bench.services.errors import Refused
-from bench.services.points import stand_of
+from bench.services.planning import stand_of
 from bench.services.until import chooser_of
 from benchmarks.until_campaign import World, run_until
 

@@ -1,6 +1,6 @@
 """The page of a commissioning: what is wrong first, everything escaped."""
 
-from bench.results.instruments import render_commissioning
+from bench.results.records import render_commissioning
 
 
 def result(status, *findings, **more):

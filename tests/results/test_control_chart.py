@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from bench.history.control_chart import CheckRun, control_chart
-from bench.results.control_chart import CheckBlockChart
-from bench.results.control_chart_page import render_chart
+from bench.results.control_chart import CheckBlockChart, render_chart
 from bench.stats.control_charts import Design
 
 NOTHING = np.zeros((12, 12))

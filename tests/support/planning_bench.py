@@ -10,7 +10,7 @@ from bench.config.shipped import find_bench, find_procedure
 from bench.model import Block, ForwardModel, Mounting
 from bench.planning.optimal_design import Goal, Stand, whole_goal
 from bench.planning.points import Sites
-from bench.planning.settings import Cost, fitted, settings_of
+from bench.planning.requirements import Cost, fitted, settings_of
 from tests.support.paper_bench import U0, K
 
 BENCH = load_bench(find_bench("paper-stand"))

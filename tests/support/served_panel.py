@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.panel.access import STATE, Access, Role, Settings
-from bench.panel.app import make_app
-from bench.panel.serving import config_of
+from bench.panel.app import config_of, make_app
 
 
 @dataclass

@@ -20,8 +20,7 @@ from bench.base.arrays import Floats
 from bench.base.files import from_text, read_regular
 from bench.base.text import visible
 from bench.base.units import VOLTAGE, parse_quantity
-from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, Node, read_unit
-from bench.certificate.dcc.rules import parser
+from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, SIGNATURE, Node, parser, read_unit
 from bench.config.devices.device import ChamberCertificate, HeadCertificate
 from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import coefficients_of, impossible

@@ -75,7 +75,7 @@ async def check_block(request: Request) -> Response:
 
 
 def _drawn(folder: Path, real: bool | None) -> str:
-    from bench.results.control_chart_page import render_chart
+    from bench.results.control_chart import render_chart
     from bench.services.check_block import charted
 
     return render_chart(charted(Chart(folder, folder=folder, real=real)))

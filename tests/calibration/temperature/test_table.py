@@ -10,7 +10,7 @@ import pytest
 
 from bench.calibration import CalibrationError
 from bench.calibration.temperature.estimate import temperature_model
-from bench.calibration.temperature.table import c_header, inverse_entries, make_table, table_csv
+from bench.calibration.temperature.model import c_header, inverse_entries, make_table, table_csv
 from bench.results.compensation import table_part
 from tests.support.paper_bench import STAND_U
 from tests.support.thermal_bench import MODEL, simulate, truth

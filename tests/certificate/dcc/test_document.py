@@ -12,9 +12,8 @@ from bench.calibration.budget.whole import dof_through
 from bench.certificate import proof
 from bench.certificate.content import Before, uncertified
 from bench.certificate.dcc.document import document_of
-from bench.certificate.dcc.nodes import NAMESPACES
+from bench.certificate.dcc.nodes import NAMESPACES, broken_rules
 from bench.certificate.dcc.results import region_factor
-from bench.certificate.dcc.rules import broken_rules
 from bench.certificate.proof import Writer
 from bench.services.calibration import verification_of
 from bench.services.verification import Asked
