@@ -58,10 +58,10 @@ COMMANDS: Final = {
 
 MODULES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("calibrate", "verify", "report", "coefficients", "compensate", "tumble"), "evaluate"),
+    **dict.fromkeys(("diagnose", "confirm", "accept"), "evaluate"),
     **dict.fromkeys(("check", "init", "budget", "require", "plan-points"), "planning"),
     **dict.fromkeys(("run", "resume", "abort", "control"), "measure"),
     **dict.fromkeys(("chart", "compare", "learn", "stability"), "history"),
-    **dict.fromkeys(("confirm", "accept"), "diagnose"),
     **dict.fromkeys(("runs", "show", "seal", "key", "export", "import"), "records"),
     "simulate": "instruments",
 }

@@ -192,7 +192,7 @@ def _diagnosed(runs: list[Run]) -> Proposal | None:
 
     The last run's folder keeps the JSON.
     """
-    from bench.cli.diagnose import carried_out
+    from bench.cli.evaluate import carried_out
     from bench.services.source import done
 
     request = Diagnose([str(run.folder) for run in runs], runs=runs[0].folder.parent)

@@ -16,7 +16,7 @@ from bench.base.numbers import fixed, places, scale_for
 from bench.base.result_model import Matrix, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.result import INVERSE, SourceOfError
-from bench.calibration.temperature.model import (
+from bench.calibration.temperature import (
     CompensationTable,
     PlateauResult,
     TemperatureModel,

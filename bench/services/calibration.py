@@ -20,7 +20,7 @@ from bench.calibration.conformity import DecisionRule
 from bench.calibration.estimators import CLOSED_FORM, GLS
 from bench.calibration.mistakes import implausible, refuse_mixed_units, sheet_of
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, CalibrationError
-from bench.calibration.temperature.model import separate_temperatures
+from bench.calibration.temperature import separate_temperatures
 from bench.config.bench_file.learned import PriorFile, load_prior
 from bench.exchange.result import BlockResult
 from bench.history.bench_or_block import CONFLICT_P, Prior, join

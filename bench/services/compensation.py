@@ -17,14 +17,14 @@ from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import SourceOfError
-from bench.calibration.temperature.estimate import temperature_model
-from bench.calibration.temperature.model import (
+from bench.calibration.temperature import (
     CompensationTable,
     TemperatureModel,
     c_header,
     make_table,
     table_csv,
 )
+from bench.calibration.temperature_fit import temperature_model
 from bench.calibration.tumble import DEFAULT, TumbleView, combine, tumble_view
 from bench.exchange.result import BlockResult
 from bench.model.geometry import COEFFICIENTS

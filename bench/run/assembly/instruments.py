@@ -9,7 +9,6 @@ from typing import Any, Literal
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import InstrumentForm, InstrumentsSection
 from bench.config.devices.device import WiredForm, is_serial
-from bench.config.devices.keysight_34970a import Keysight34970AThermometerSection
 from bench.config.devices.registry import devices
 from bench.config.devices.sections import (
     ControlledChamberForm,
@@ -19,6 +18,7 @@ from bench.config.devices.sections import (
     VoltmeterForm,
     WiredSupplyForm,
 )
+from bench.config.devices.voltmeters import Keysight34970AThermometerSection
 from bench.model.forward import ForwardModel
 from bench.run.instruments import Instruments
 from drivers.chambers import ChamberLimits

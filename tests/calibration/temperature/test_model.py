@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.calibration import CalibrationError, calibrate
-from bench.calibration.temperature.estimate import temperature_model
+from bench.calibration.temperature_fit import temperature_model
 from bench.model.geometry import COEFFICIENTS, Block
 from tests.support.paper_bench import STAND_U, TRUTH
 from tests.support.thermal_bench import MODEL, REFERENCE_C, coefficients, simulate, truth

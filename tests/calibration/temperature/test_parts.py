@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bench.calibration.result import Noise
-from bench.calibration.temperature.estimate import ThermalFit, choose_degrees, held_at_zero
-from bench.calibration.temperature.model import separate_temperatures, sort_readings
+from bench.calibration.temperature import separate_temperatures, sort_readings
+from bench.calibration.temperature_fit import ThermalFit, choose_degrees, held_at_zero
 from bench.readings.table import make_readings
 from tests.support.thermal_bench import CYCLE_C, simulate, truth
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bench.calibration import CalibrationError
-from bench.calibration.temperature.estimate import temperature_model
-from bench.calibration.temperature.model import c_header, inverse_entries, make_table, table_csv
+from bench.calibration.temperature import c_header, inverse_entries, make_table, table_csv
+from bench.calibration.temperature_fit import temperature_model
 from bench.results.compensation import table_part
 from tests.support.paper_bench import STAND_U
 from tests.support.thermal_bench import MODEL, simulate, truth

@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 
 from bench.config.bench_file.file import load_bench
-from bench.config.devices.acutrol import AcutrolSection
+from bench.config.devices.chambers import EspecSection, ThermotronSection, WatlowF4TSection
 from bench.config.devices.device import bus_place
-from bench.config.devices.espec import EspecSection
-from bench.config.devices.keysight_34970a import Keysight34970ASection
-from bench.config.devices.thermotron import ThermotronSection
-from bench.config.devices.watlow_f4t import WatlowF4TSection
-from bench.config.devices.zaber import ZaberSection
+from bench.config.devices.heads import AcutrolSection, ZaberSection
+from bench.config.devices.voltmeters import Keysight34970ASection
 from bench.config.shipped import find_bench
 from bench.model import ForwardModel
 from bench.run.assembly.instruments import on_terminals

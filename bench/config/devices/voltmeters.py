@@ -1,4 +1,4 @@
-"""HP / Agilent / Keysight 34970A and 34972A with 34901A multiplexer cards: voltmeter, and Pt100 or thermistor."""
+"""Voltmeters of Agilent and Keysight (34401A, Truevolt, 34970A) and of Keithley (2000)."""
 
 from __future__ import annotations
 
@@ -7,11 +7,118 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from bench.base.units import DurationS
-from bench.config.devices.device import Device, PortSection, Timeout, WiredForm, any_resource
-from bench.config.devices.sections import SerialPortForm, ThermometerForm, ThermometerTruth, VoltmeterTruth
+from bench.config.devices.device import (
+    Device,
+    Port,
+    PortSection,
+    Timeout,
+    WiredForm,
+    any_resource,
+    is_serial,
+    usual_baud_rate,
+)
+from bench.config.devices.sections import (
+    OneChannelForm,
+    SerialPortForm,
+    ThermometerForm,
+    ThermometerTruth,
+    VoltmeterTruth,
+)
+from drivers.facts import agilent_34401a as agilent
+from drivers.facts import keithley_2000 as keithley
+from drivers.facts import keysight_34461a as truevolt
 from drivers.facts import keysight_34970a as multiplexer
 from drivers.facts.keysight_34970a import PAIRED, SENSORS
 from drivers.interfaces import Channel
+
+
+class Agilent34401ASection(OneChannelForm, SerialPortForm):
+    """A 34401A."""
+
+    facts: ClassVar = agilent
+
+    driver: Literal["agilent-34401a"]
+
+
+_AGILENT_34401A = Device(
+    "agilent-34401a",
+    Agilent34401ASection,
+    driver="drivers.instruments.agilent_34401a:Agilent34401A",
+    simulation="sim.agilent_34401a:Agilent34401A",
+    example={"channels": ["x"], "resource": "GPIB0::22::INSTR", "interface": "gpib"},
+    simulated=("noise", "accuracy"),
+)
+
+
+class Keysight34461ASection(OneChannelForm):
+    """A 34460A, 34461A, 34465A or 34470A; `interface` "lan" stands for USB, too."""
+
+    facts: ClassVar = truevolt
+
+    driver: Literal["keysight-34461a"]
+    interface: Literal["lan", "gpib"] = "lan"
+
+
+_KEYSIGHT_34461A = Device(
+    "keysight-34461a",
+    Keysight34461ASection,
+    driver="drivers.instruments.keysight_34461a:Keysight34461A",
+    simulation="sim.keysight_34461a:Keysight34461A",
+    example={"channels": ["x"], "resource": "TCPIP0::192.0.2.22::5025::SOCKET"},
+    simulated=("noise", "accuracy"),
+)
+
+
+class Keithley2000Port(PortSection):
+    """How the RS-232 of a Keithley 2000 is set on its front panel; `terminator` is its TX TERM."""
+
+    baud_rate: int = PortSection.of(keithley).baud_rate
+    terminator: Literal["lf", "cr", "crlf", "lfcr"] = "lf"
+
+    @field_validator("baud_rate")
+    @classmethod
+    def _of_the_meter(cls, baud_rate: int) -> int:
+        return usual_baud_rate(baud_rate, keithley.BAUD_RATES)
+
+
+class Keithley2000Section(OneChannelForm):
+    """A Keithley 2000, by GPIB or RS-232."""
+
+    facts: ClassVar = keithley
+
+    driver: Literal["keithley-2000"]
+    interface: Literal["gpib", "rs232"] = "gpib"
+    serial: Keithley2000Port = Keithley2000Port()
+
+    @model_validator(mode="after")
+    def _set_to_its_port(self) -> Keithley2000Section:
+        if is_serial(self.resource) and self.interface != "rs232":
+            raise ValueError("a serial port is an RS-232: say 'interface: rs232', and set the meter to it")
+        return self
+
+    @property
+    def line_end(self) -> str:
+        """What its lines end with."""
+        serial = self.interface == "rs232"
+        return keithley.TERMINATORS[self.serial.terminator] if serial else keithley.READ_TERMINATION
+
+    def port(self) -> Port:
+        """Return how its wire is set up; on RS-232 lines end as the section says."""
+        return Port(self.line_end, self.line_end, super().port().serial)
+
+    def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
+        """Return what every simulated voltmeter is given, and how its lines end."""
+        return {**super().simulation_options(truth), "line_end": self.line_end}
+
+
+_KEITHLEY_2000 = Device(
+    "keithley-2000",
+    Keithley2000Section,
+    driver="drivers.instruments.keithley_2000:Keithley2000",
+    simulation="sim.keithley_2000:Keithley2000",
+    example={"channels": ["x"], "resource": "GPIB0::16::INSTR"},
+    simulated=("noise", "accuracy"),
+)
 
 
 def _on_a_card(number: int) -> int:
@@ -127,7 +234,7 @@ class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
         }
 
 
-DEVICE = (
+_KEYSIGHT_34970A = (
     Device(
         "keysight-34970a",
         Keysight34970ASection,
@@ -150,3 +257,5 @@ DEVICE = (
         place=1,
     ),
 )
+
+DEVICE = (_AGILENT_34401A, _KEYSIGHT_34461A, _KEITHLEY_2000, *_KEYSIGHT_34970A)

@@ -26,7 +26,7 @@ from bench.calibration.gls import (
 from bench.calibration.noise import require_told, whiten
 from bench.calibration.observability import require_rank
 from bench.calibration.result import CalibrationError, LackOfFit, Noise
-from bench.calibration.temperature.model import (
+from bench.calibration.temperature import (
     Plateau,
     PlateauResult,
     TemperatureModel,

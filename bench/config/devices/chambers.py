@@ -1,0 +1,134 @@
+"""Thermal chambers: Espec, Thermotron, Watlow F4T."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from bench.base.units import TemperatureC
+from bench.config.devices.device import Device, IdentityPattern, PortSection, as_stated, resource_on
+from bench.config.devices.sections import OF_THE_AIR, ChamberTruth, ControlledChamberForm
+from drivers.facts import espec, thermotron
+from drivers.facts import watlow_f4t as f4t
+
+
+class EspecSection(ControlledChamberForm):
+    """A chamber with an Espec P300 or SCP-220; `identity` is the pattern of the controller's name."""
+
+    facts: ClassVar = espec
+
+    driver: Literal["espec"]
+    resource: Annotated[
+        str,
+        resource_on(
+            "ASRL", "TCPIP", example="'ASRL/dev/ttyUSB1::INSTR' or 'TCPIP0::192.0.2.50::10001::SOCKET'"
+        ),
+    ]
+    identity: IdentityPattern = espec.IDENTITY
+    serial: PortSection = PortSection.of(espec)
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return the pattern of its identity."""
+        return {"identity": self.identity}
+
+    def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
+        """Return its limits, its name where the pattern is one, and the noise of its sensor."""
+        named = {"name": self.identity} if as_stated(self.identity) else {}
+        return super().simulation_options(truth) | named | {"noise_c": truth.sensor_noise}
+
+
+_ESPEC = Device(
+    "espec",
+    EspecSection,
+    driver="drivers.instruments.espec:EspecChamber",
+    simulation="sim.chambers:EspecP300",
+    example={"resource": "TCPIP0::192.0.2.50::10001::SOCKET", "minimum": "-40 degC", "maximum": "85 degC"},
+    simulated=(*OF_THE_AIR, "sensor_noise"),
+    place=1,
+)
+
+
+class ThermotronSection(ControlledChamberForm):
+    """A chamber with a Thermotron controller, set to °C; `identity` is the pattern of its name."""
+
+    facts: ClassVar = thermotron
+
+    driver: Literal["thermotron"]
+    resource: Annotated[
+        str,
+        resource_on(
+            "ASRL", "TCPIP", example="'ASRL/dev/ttyUSB1::INSTR' or 'TCPIP0::192.0.2.52::8888::SOCKET'"
+        ),
+    ]
+    identity: IdentityPattern = thermotron.IDENTITY
+    serial: PortSection = PortSection.of(thermotron)
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return the pattern of its identity."""
+        return {"identity": self.identity}
+
+    def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
+        """Return its limits, and its name where the pattern is one."""
+        named = {"identity": self.identity} if as_stated(self.identity) else {}
+        return super().simulation_options(truth) | named
+
+
+_THERMOTRON = Device(
+    "thermotron",
+    ThermotronSection,
+    driver="drivers.instruments.thermotron:ThermotronChamber",
+    simulation="sim.chambers:Thermotron8800",
+    example={"resource": "TCPIP0::192.0.2.52::8888::SOCKET", "minimum": "-40 degC", "maximum": "85 degC"},
+    simulated=OF_THE_AIR,
+    place=3,
+)
+
+
+class WatlowF4TSection(ControlledChamberForm):
+    """A chamber with a Watlow F4T.
+
+    `output` is the output that switches conditioning on; where it is left out, the chamber is set to `safe`
+    after a run.
+    """
+
+    facts: ClassVar = f4t
+
+    driver: Literal["watlow-f4t"]
+    resource: Annotated[str, resource_on("TCPIP", example="'TCPIP0::192.0.2.51::5025::SOCKET'")]
+    identity: IdentityPattern = f4t.IDENTITY
+    loop: Annotated[int, Field(ge=1, le=f4t.MOST_LOOPS)] = 1
+    output: Annotated[int, Field(ge=1, le=f4t.MOST_OUTPUTS)] | None = None
+    safe: TemperatureC = f4t.SAFE_C
+
+    @model_validator(mode="after")
+    def _can_be_safe(self) -> WatlowF4TSection:
+        if self.output is None:
+            self.refuse_outside(self.safe, "the safe setting")
+        return self
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return loop and output, what is safe, and the pattern of its identity."""
+        return {"loop": self.loop, "output": self.output, "safe_c": self.safe, "identity": self.identity}
+
+    def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
+        """Return its limits, loop and output."""
+        return super().simulation_options(truth) | {"loop": self.loop, "output": self.output or 1}
+
+
+_WATLOW_F4T = Device(
+    "watlow-f4t",
+    WatlowF4TSection,
+    driver="drivers.instruments.watlow_f4t:WatlowF4TChamber",
+    simulation="sim.chambers:WatlowF4T",
+    example={
+        "resource": "TCPIP0::192.0.2.51::5025::SOCKET",
+        "minimum": "-40 degC",
+        "maximum": "85 degC",
+        "output": "1",
+    },
+    simulated=OF_THE_AIR,
+    place=2,
+)
+
+DEVICE = (_ESPEC, _THERMOTRON, _WATLOW_F4T)

@@ -1,0 +1,219 @@
+"""Motorised heads: ACUTROL, Newport ESP301, Zaber."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, ClassVar, Final, Literal
+
+from pydantic import AfterValidator, Field, field_validator, model_validator
+
+from bench.base.arrays import ARCSEC
+from bench.config.devices.device import (
+    Device,
+    IdentityPattern,
+    PortSection,
+    any_resource,
+    as_stated,
+    resource_on,
+    usual_baud_rate,
+)
+from bench.config.devices.sections import HeadTruth, MotorisedHeadForm, SpeedRadS
+from drivers.facts import acutrol, zaber
+from drivers.facts import newport_esp301 as newport
+
+
+class AcutrolSection(MotorisedHeadForm):
+    """One axis of a rate table with an ACUTROL controller; below `still_rate` it stands."""
+
+    facts: ClassVar = acutrol
+    scale_on_axis: ClassVar[bool] = True
+
+    driver: Literal["acutrol"]
+    resource: Annotated[str, resource_on("TCPIP", example="'TCPIP0::192.0.2.40::9888::SOCKET'")]
+    axis: Annotated[int, Field(ge=1, le=9)] = 1
+    still_rate: SpeedRadS = math.radians(acutrol.STILL_DEG_S)
+
+    @field_validator("tolerance")
+    @classmethod
+    def _as_fine_as_a_demand(cls, tolerance_rad: float) -> float:
+        finest_rad = math.radians(acutrol.FINEST_DEMAND_DEG)
+        if tolerance_rad < finest_rad:
+            raise ValueError(
+                f"the tolerance is finer than the {acutrol.FINEST_DEMAND_DEG:.4f}° "
+                f"({finest_rad / ARCSEC:.1f} arcsec) to which it takes demands"
+            )
+        return tolerance_rad
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return the axis, and when it stands."""
+        return {"axis": self.axis, "still_rad_s": self.still_rate}
+
+    def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
+        """Return the axis and the speed."""
+        return super().simulation_options(truth) | {"axis": self.axis}
+
+
+_ACUTROL = Device(
+    "acutrol",
+    AcutrolSection,
+    driver="drivers.instruments.acutrol:AcutrolHead",
+    simulation="sim.acutrol:AcutrolTable",
+    example={
+        "resource": "TCPIP0::192.0.2.40::9888::SOCKET",
+        "minimum": "-5 deg",
+        "maximum": "365 deg",
+        "tolerance": "5 arcsec",
+        "speed": "10 deg/s",
+    },
+    place=2,
+)
+
+
+_BEYOND_DEG: Final = 5.0
+"""How far a simulated stage can turn beyond the limits in the bench file, degrees."""
+
+
+def _on_a_wire_it_has(resource: str) -> str:
+    if not resource.startswith(("ASRL", "GPIB", "TCPIP")):
+        raise ValueError(
+            "expected a VISA resource such as 'ASRL/dev/ttyUSB0::INSTR', 'GPIB0::1::INSTR' or, behind a serial "
+            f"gateway, 'TCPIP0::192.0.2.41::4001::SOCKET', got '{resource}'"
+        )
+    return any_resource(resource)
+
+
+class NewportPort(PortSection):
+    """The serial port: its RS-232, or the one that its USB is to the computer."""
+
+    @field_validator("baud_rate")
+    @classmethod
+    def _usual(cls, baud_rate: int) -> int:
+        return usual_baud_rate(baud_rate, newport.BAUD_RATES)
+
+
+class NewportSection(MotorisedHeadForm):
+    """A rotary stage on one axis of a Newport ESP301 that is set up in degrees, at 0° where it was homed.
+
+    Homing turns the stage to its sensor, beyond any limit: it is done only with `allow_homing`.
+    """
+
+    facts: ClassVar = newport
+
+    driver: Literal["newport-esp301"]
+    resource: Annotated[str, AfterValidator(_on_a_wire_it_has)]
+    axis: Annotated[int, Field(ge=1, le=newport.MOST_AXES)] = 1
+    identity: IdentityPattern = newport.IDENTITY
+    allow_homing: bool = False
+    serial: NewportPort = NewportPort.model_validate({"baud_rate": newport.SERIAL["baud_rate"]})
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return which axis it is, who it must be, and whether it may home."""
+        return self.model_dump(include={"axis", "identity", "allow_homing"})
+
+    def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
+        """Return which axis it is, how far it can turn, and whether it is homed."""
+        named = {"model": self.identity} if as_stated(self.identity) else {}
+        return {
+            **super().simulation_options(truth),
+            "axis": self.axis,
+            "lowest_deg": math.degrees(self.minimum) - _BEYOND_DEG,
+            "highest_deg": math.degrees(self.maximum) + _BEYOND_DEG,
+            "homed": truth.homed,
+            **named,
+        }
+
+
+_NEWPORT_ESP301 = Device(
+    "newport-esp301",
+    NewportSection,
+    driver="drivers.instruments.newport_esp301:NewportHead",
+    simulation="sim.newport_esp301:Esp301",
+    example={
+        "resource": "ASRL/dev/ttyUSB0::INSTR",
+        "minimum": "-5 deg",
+        "maximum": "365 deg",
+        "tolerance": "5 arcsec",
+        "speed": "10 deg/s",
+    },
+    simulated=("homed",),
+)
+
+
+_TURN_BEYOND_DEG: Final = 5.0
+"""How far a simulated stage can turn beyond the limits in the bench file, degrees."""
+
+
+class ZaberSection(MotorisedHeadForm):
+    """A rotary stage with a Zaber controller.
+
+    `steps_per_degree` are microsteps at the setting `resolution`, negative where the scale falls with rising
+    steps. Homing turns the stage to its sensor, beyond any limit: it is done only with `allow_homing`.
+    """
+
+    facts: ClassVar = zaber
+
+    driver: Literal["zaber"]
+    resource: Annotated[
+        str,
+        resource_on(
+            "ASRL", "TCPIP", example="'ASRL/dev/ttyUSB0::INSTR' or 'TCPIP0::192.0.2.30::55550::SOCKET'"
+        ),
+    ]
+    steps_per_degree: float
+    resolution: Annotated[int, Field(ge=1, le=256)] = zaber.RESOLUTION
+    device: Annotated[int, Field(ge=1, le=zaber.MOST_DEVICES)] = 1
+    axis: Annotated[int, Field(ge=1, le=zaber.MOST_AXES)] = 1
+    identity: IdentityPattern = zaber.IDENTITY
+    allow_homing: bool = False
+    checksums: bool = False
+    serial: PortSection = PortSection.of(zaber)
+
+    @model_validator(mode="after")
+    def _steps_fit(self) -> ZaberSection:
+        steps_per_degree = abs(self.steps_per_degree)
+        if steps_per_degree == 0.0:
+            raise ValueError("steps_per_degree is not zero: see the stage's data sheet")
+        farthest_rad = max(abs(self.minimum), abs(self.maximum))
+        if math.degrees(farthest_rad) * steps_per_degree > zaber.MOST_STEPS:
+            raise ValueError("the limits of the head are more steps than its controller counts")
+        if 0.5 / steps_per_degree > math.degrees(self.tolerance):
+            raise ValueError("a step of the head is coarser than its tolerance: no angle would pass")
+        return self
+
+    def driver_options(self) -> dict[str, Any]:
+        """Return which device it is, and how its steps are counted."""
+        own = {"steps_per_degree", "resolution", "device", "axis", "identity", "allow_homing", "checksums"}
+        return self.model_dump(include=own)
+
+    def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
+        """Return which device it is, how far it can turn, and what is true of it."""
+        named = {"device_id": int(self.identity)} if self.identity.isdecimal() else {}
+        return {
+            **super().simulation_options(truth),
+            **self.model_dump(include={"steps_per_degree", "resolution", "device", "axis"}),
+            "lowest_deg": math.degrees(self.minimum) - _TURN_BEYOND_DEG,
+            "highest_deg": math.degrees(self.maximum) + _TURN_BEYOND_DEG,
+            "homed": truth.homed,
+            "encoder": truth.encoder,
+            **named,
+        }
+
+
+_ZABER = Device(
+    "zaber",
+    ZaberSection,
+    driver="drivers.instruments.zaber:ZaberHead",
+    simulation="sim.zaber:ZaberStage",
+    example={
+        "resource": "TCPIP0::192.0.2.30::55550::SOCKET",
+        "steps_per_degree": "4266.6667",
+        "minimum": "-5 deg",
+        "maximum": "365 deg",
+        "tolerance": "5 arcsec",
+        "speed": "10 deg/s",
+    },
+    simulated=("homed", "encoder"),
+    place=1,
+)
+
+DEVICE = (_ACUTROL, _NEWPORT_ESP301, _ZABER)
