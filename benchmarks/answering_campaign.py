@@ -27,7 +27,7 @@ from typing import Any, Final
 
 from bench.run.events import Event
 from bench.run.folder import Run
-from bench.run.person import ANSWERS, LeftAnswer, OpenPrompt, Who, leave_answer, understood_answer
+from bench.run.person import ANSWERS, LeftAnswer, OpenPrompt, WishAuthor, leave_answer, understood_answer
 from bench.run.record import parse_line, read_history
 from benchmarks.campaign import PROGRAM, arguments
 from benchmarks.kill_campaign import differences
@@ -35,7 +35,7 @@ from drivers.angles import format_dms, parse_angle
 from drivers.person import Prompt, PromptKind
 
 PROCEDURE: Final = "quick"
-PANEL: Final = Who("Ann", "operator", "panel")
+PANEL: Final = WishAuthor("Ann", "operator", "panel")
 ACT_AGAIN_S: Final = 1.5
 """What is typed while a question is being shown is none of its answers, so it is typed again."""
 ENOUGH_S: Final = 600.0

@@ -24,7 +24,7 @@ from bench.config.procedure.steps import Mount, Read, Turn
 from bench.run import record as record_module
 from bench.run.instruments import Instruments
 from bench.run.listening import Asker
-from bench.run.person import Who
+from bench.run.person import WishAuthor
 from bench.run.record import Record
 from bench.run.runner import People, Recorder, Runner
 from bench.run.terminal import TerminalPerson
@@ -79,7 +79,7 @@ class AtOnce(TerminalPerson):
 
     def __init__(self) -> None:
         super().__init__(
-            io.StringIO(), Console(file=io.StringIO()), who=Who("cost", "supervisor", "terminal")
+            io.StringIO(), Console(file=io.StringIO()), who=WishAuthor("cost", "supervisor", "terminal")
         )
 
     def ask(self, prompt: Prompt) -> Answer:

@@ -14,9 +14,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bench.history.equivalence import YEAR, Measured, capability
+from bench.history.equivalence import YEAR, ComparedCalibrations, capability
 from bench.stats.crossed_effects import EXCESS, Crossing, fit
-from bench.stats.unit_histories import Spread
+from bench.stats.unit_histories import CalibrationSpread
 from benchmarks.campaign import Share, arguments
 
 CASES = (
@@ -28,7 +28,7 @@ CASES = (
 
 def laboratory(
     rng: np.random.Generator, units: int, runs: int, benches: int, sizes: Sequence[float]
-) -> Measured:
+) -> ComparedCalibrations:
     """Draw calibrations of u = 1 of all twelve coefficients, with sizes of scatter, rates, walks and benches."""
     scatter, rate, walk, between = sizes
     steps = rng.uniform(0.5, 1.5, (units, runs))
@@ -40,7 +40,7 @@ def laboratory(
     n = units * runs
     values = true + between * rng.normal(size=(benches, 12))[bench]
     values = values + scatter * rng.normal(size=(n, 12)) + rng.normal(size=(n, 12))
-    return Measured(
+    return ComparedCalibrations(
         unit=np.repeat([f"A {k}" for k in range(units)], runs), kind=np.full(n, "A"),
         bench=np.array([f"bench {k}" for k in bench]),
         when=np.datetime64("2015-01-01", "s") + (years.ravel() * (YEAR / np.timedelta64(1, "s"))).astype(int),
@@ -58,7 +58,7 @@ def table(runs: int, seed: int) -> Iterator[str]:
     yield "|---|---|---|---|---|---|---|---|---|"
     for units, each, benches, sizes in CASES:
         rng = np.random.default_rng([seed, units, *(int(10 * size) for size in sizes)])
-        spreads: list[Spread] = []
+        spreads: list[CalibrationSpread] = []
         before = []
         for _ in range(runs):
             made = laboratory(rng, units, each, benches, sizes)

@@ -31,7 +31,7 @@ import bench.run.assembly.served
 from bench.base.arrays import ARCSEC
 from bench.config.bench_file.file import load_bench
 from bench.run.commission.course import CABLE
-from bench.services.instruments import PAGE, Setting, commission
+from bench.services.instruments import PAGE, CommissioningPlan, commission
 from benchmarks.campaign import ROOT, amiss, arguments, by_kind, spread
 from benchmarks.fault_campaign import exact
 from drivers.interfaces import BenchError
@@ -180,7 +180,7 @@ def benches(folder: Path, names: Sequence[str]) -> list[Bench]:
         path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
         file = load_bench(path)
         with struck(None) as watch:
-            result = commission(Setting(file, path, folder / f"{name}-well", None, tell=watch.told))
+            result = commission(CommissioningPlan(file, path, folder / f"{name}-well", None, tell=watch.told))
         if result["status"] != 0 or watch.bench is None:
             raise RuntimeError(f"{name}: not well without a fault: {result['findings']}")
         able = {
@@ -222,7 +222,7 @@ def carry_out(trial: Trial, folder: Path, limit_s: float = LIMIT_S) -> Outcome:
     begun_s = time.monotonic()
     with struck(trial) as watch:
         try:
-            result = commission(Setting(load_bench(trial.bench.path), trial.bench.path, out, None))
+            result = commission(CommissioningPlan(load_bench(trial.bench.path), trial.bench.path, out, None))
         except BenchError as error:
             outcome.violations.append(f"no page: {error}")
             return outcome

@@ -20,7 +20,7 @@ from bench.base.arrays import Floats
 from bench.stats.control_charts import (
     ALIKE_P,
     Basis,
-    Design,
+    ChartDesign,
     centre_of,
     components_of,
     ewma_arl,
@@ -107,7 +107,7 @@ def false_rejections(
     scale = np.full(P, factor)
     scale[4] *= one
     root = scale[:, None] * np.linalg.cholesky(stated)
-    design = Design(basis=basis)
+    design = ChartDesign(basis=basis)
     counts: dict[str, Count] = {}
     every, later = np.tile(stated, (runs, 1, 1)), np.tile(stated, (LATER, 1, 1))
     for baseline, after in charts(rng, runs, points, root):
@@ -137,7 +137,7 @@ def short_terms(rng: np.random.Generator, count: int, runs: int) -> Floats:
 
 def nominal() -> dict[str, float]:
     """Return the rates that are stated for the default design."""
-    design = Design()
+    design = ChartDesign()
     rates = {"T²": design.alpha, "EWMA": design.alpha_ewma(P), "s": design.alpha}
     # how often any of the three is beyond its limit, were they independent
     return rates | {"all": 1.0 - float(np.prod([1.0 - rate for rate in rates.values()]))}

@@ -21,7 +21,7 @@ from bench.config.shipped import find_bench, find_procedure
 from bench.diagnosis.candidates import make_candidates
 from bench.diagnosis.evidence import Whitened, make_threshold
 from bench.diagnosis.linear import LinearSystem, make_linear
-from bench.diagnosis.naming import Found, name
+from bench.diagnosis.naming import FoundEffect, name
 from bench.diagnosis.next_measurement import planned_readings
 from bench.diagnosis.noise_grid import make_noise_grid
 from bench.diagnosis.posterior import NoiseSize
@@ -108,7 +108,7 @@ class Score:
     alone_right: int = 0
     set_size: int = 0
 
-    def add(self, found: tuple[Found, ...], truth: str) -> None:
+    def add(self, found: tuple[FoundEffect, ...], truth: str) -> None:
         self.draws += 1
         of_catalogue = [f for f in found if f.variant.named]
         if not of_catalogue or len(of_catalogue) < len(found):

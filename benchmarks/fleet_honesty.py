@@ -20,7 +20,7 @@ from bench.base.arrays import Floats
 from bench.history.bench_or_block import join, prior_of
 from bench.history.comparison import SECONDS_PER_YEAR
 from bench.history.drift import history_drift
-from bench.history.equivalence import STANDARD_GRAVITY, Measured
+from bench.history.equivalence import STANDARD_GRAVITY, ComparedCalibrations
 from benchmarks.campaign import Share, arguments, rms_told
 
 FIRST = np.datetime64("2020-01-01", "s")
@@ -92,10 +92,10 @@ def prior(runs: int, seed: int) -> Iterator[str]:
             )
 
 
-def measured(unit: np.ndarray[tuple[int, ...], np.dtype[np.int64]], values: Floats) -> Measured:
+def measured(unit: np.ndarray[tuple[int, ...], np.dtype[np.int64]], values: Floats) -> ComparedCalibrations:
     """Return calibrations of u = 1 of units of one type, on one bench."""
     n = len(unit)
-    return Measured(
+    return ComparedCalibrations(
         unit=np.array([f"A {k}" for k in unit]), kind=np.full(n, "A"), bench=np.full(n, "1"),
         when=FIRST + np.arange(n).astype("timedelta64[D]"), vector=values,
         covariance=np.broadcast_to(np.eye(12), (n, 12, 12)).copy(), meters=np.zeros((n, 12)),

@@ -21,7 +21,7 @@ from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.model import Distribution, ForwardModel, Mounting
 from bench.planning.optimal_design import Goal, Stand, coefficient_goals, vector_goal
-from bench.planning.points import Points, Sites, Times, best_within, cheapest
+from bench.planning.points import ChosenPoints, Sites, Times, best_within, cheapest
 from bench.planning.requirements import Setting, conditions_of, fitted, settings_of
 
 ANGLES = 24
@@ -49,7 +49,7 @@ def goals_of(stand: Stand, covariance: Floats) -> dict[str, list[Goal]]:
     }
 
 
-def told(found: Points) -> str:
+def told(found: ChosenPoints) -> str:
     mounts = ", ".join(str(mount) for mount in found.visits)
     return (
         f"{found.count:4d} settings in {mounts}: {found.worst.ratio(found.covariance):.3f} of what was asked"

@@ -32,8 +32,8 @@ from bench.calibration.result import Calibration
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
-from bench.planning.choice import REACHED, Choice, Chooser, Standing, scale_of
-from bench.planning.pool import Point, Task, Visits, reached_by
+from bench.planning.choice import REACHED, Chooser, NextPoints, Standing, scale_of
+from bench.planning.pool import DesignTask, PlannedPoint, Visits, reached_by
 from bench.readings.table import Readings, make_readings
 from bench.services.until import chooser_of
 from benchmarks.campaign import arguments, parts_of
@@ -68,7 +68,7 @@ class World:
         block = K + rng.normal(0.0, SPREAD, (3, 3)), U0 + rng.normal(0.0, SPREAD, 3)
         return cls(*block, stand, scale, rng)
 
-    def measured(self, points: list[Point]) -> Readings:
+    def measured(self, points: list[PlannedPoint]) -> Readings:
         """Readings at points in their order; the head stands where it reads but for its error."""
         labels = [p.site.mount.installation for p in points]
         angle = np.array([p.site.angle_rad for p in points])
@@ -83,7 +83,7 @@ class World:
         return np.concatenate([self.K.ravel(), self.U0])
 
 
-def table_of(points: list[Point], signal: np.ndarray) -> Readings:
+def table_of(points: list[PlannedPoint], signal: np.ndarray) -> Readings:
     return make_readings(
         [p.site.mount.installation for p in points],
         [p.pass_number for p in points],
@@ -116,7 +116,7 @@ def calibrated(readings: Readings, chooser: Chooser) -> Calibration:
     return calibrate(readings, chooser.stand.model, chooser.stand.sizes, 9.81)
 
 
-def run_until(chooser: Chooser, world: World, first: Choice | None = None) -> Ended:
+def run_until(chooser: Chooser, world: World, first: NextPoints | None = None) -> Ended:
     """Take readings until the choice is to stop; `first` is what is chosen before there are any."""
     standing, points, signals = Standing(), [], []
     spent_s = chooser.pool.always_s
@@ -156,9 +156,9 @@ class KnownNoise(Visits):
         return 1.0
 
 
-def best_fixed(chooser: Chooser, scale: float, repeats: int = LEAST_REPEATS) -> list[Point]:
+def best_fixed(chooser: Chooser, scale: float, repeats: int = LEAST_REPEATS) -> list[PlannedPoint]:
     """The fewest points of the procedure found that reach the goals at noise that is known, by exchanges."""
-    task: Task = replace(chooser.task(Standing()), scale=scale)
+    task: DesignTask = replace(chooser.task(Standing()), scale=scale)
     most, least = task.left, repeats
 
     def design(counts: np.ndarray) -> KnownNoise:
@@ -189,7 +189,7 @@ def best_fixed(chooser: Chooser, scale: float, repeats: int = LEAST_REPEATS) -> 
     return points
 
 
-def time_of(chooser: Chooser, points: list[Point]) -> float:
+def time_of(chooser: Chooser, points: list[PlannedPoint]) -> float:
     mounts = {p.site.mount for p in points}
     own = sum(v.time_s for v in chooser.pool.visits if v.mount in mounts)
     return chooser.pool.always_s + own + sum(p.time_s for p in points)

@@ -23,7 +23,7 @@ from bench.calibration.batch import Batch, calibrate_batch
 from bench.calibration.noise import LEAST_REPEATS
 from bench.calibration.result import Noise
 from bench.planning.choice import Chooser, Standing
-from bench.planning.pool import Point, Visits
+from bench.planning.pool import PlannedPoint, Visits
 from benchmarks.campaign import arguments
 from benchmarks.until_campaign import (
     MOUNT_RAD,
@@ -43,13 +43,13 @@ from tests.support.paper_bench import U0, K, specific_force
 class Drawn:
     """Signals (runs, n, 3) of points and the truth (runs, 12)."""
 
-    points: list[Point]
+    points: list[PlannedPoint]
     signals: np.ndarray
     truth: np.ndarray
     scale: float
 
 
-def order_of(chooser: Chooser) -> tuple[list[Point], int]:
+def order_of(chooser: Chooser) -> tuple[list[PlannedPoint], int]:
     """The points in the order of the looks, and how many the first has."""
     task = chooser.task(Standing())
     first = best_fixed(chooser, min(NOISES), LEAST_REPEATS)
@@ -65,7 +65,7 @@ def order_of(chooser: Chooser) -> tuple[list[Point], int]:
     return points, len(first)
 
 
-def drawn(points: list[Point], scale: float, runs: int, rng: np.random.Generator) -> Drawn:
+def drawn(points: list[PlannedPoint], scale: float, runs: int, rng: np.random.Generator) -> Drawn:
     n = len(points)
     labels = [p.site.mount.installation for p in points]
     second = np.array([label == "2" for label in labels], dtype=np.int64)

@@ -18,7 +18,7 @@ from bench.services.errors import Refused
 from bench.services.records import versions
 from bench.services.requests.documents import Batch, BatchCalibrate, BatchDiagnose, BatchReport
 from bench.services.source import Request, check_gravity
-from bench.services.verification import Asked
+from bench.services.verification import VerdictOptions
 
 CALIBRATE: Final = "calibrate"
 DIAGNOSE: Final = "diagnose"
@@ -62,9 +62,9 @@ class Job:
         model = None if self.model is None else Path(self.model)
         return Request([run], Path(run).parent, self.bench, model, self.g_m_s2, None, self.skip_bad_rows)
 
-    def asked(self) -> Asked:
+    def asked(self) -> VerdictOptions:
         """Return how verdicts are to be found in place of what each run says."""
-        return Asked(self.limit_g, self.rule, self.guard_band, self.population)
+        return VerdictOptions(self.limit_g, self.rule, self.guard_band, self.population)
 
     def checked(self) -> Job:
         """Return it with paths that hold anywhere. Raises as the commands do for what no run could be asked."""

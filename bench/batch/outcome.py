@@ -11,7 +11,7 @@ from typing import Any, Final
 from bench.base.files import to_text, write_whole
 from bench.batch import processes
 from bench.batch.job import COLUMNS, DIAGNOSE, NOT_IN_TEXT, Job, job_of
-from bench.batch.store import PARTS, RUNS, Computed, Course, Store, list_runs
+from bench.batch.store import PARTS, RUNS, Computed, PartWriter, Store, list_runs
 from bench.results.batch import BatchResult
 from bench.services.errors import Refused
 from bench.services.requests.documents import Batch
@@ -44,7 +44,7 @@ def carried_out(request: Batch, tell: Callable[[Iterable[str]], None]) -> BatchR
         try:
             if left.pending:
                 computed = _computing(job, request, len(left.pending))
-                Course(store, job.command).carry_out(left, computed)
+                PartWriter(store, job.command).carry_out(left, computed)
         except KeyboardInterrupt:
             done = len(listed.runs) - len(store.begin(job, request.over, listed.runs).pending)
             raise Refused(

@@ -143,7 +143,7 @@ _OPTIONS: Final = {"g_m_s2": "g", "limit_g": "limit"}
 
 
 @dataclass(frozen=True)
-class Progress:
+class BatchProgress:
     """How far a batch is: `pending` runs with their fingerprints, how many are `done`; `notes` for a person."""
 
     pending: Mapping[str, str]
@@ -184,7 +184,7 @@ class Store:
 
     # --- what was asked -----------------------------------------------------------------------------
 
-    def begin(self, job: Job, over: Sequence[str], runs: Sequence[str]) -> Progress:
+    def begin(self, job: Job, over: Sequence[str], runs: Sequence[str]) -> BatchProgress:
         """Note what is asked and of which runs; return what is left to do.
 
         Raises `Refused` with all that differs, where the folder is of another command or program.
@@ -236,7 +236,7 @@ class Store:
 
     # --- what is done -------------------------------------------------------------------------------
 
-    def _left(self, command: str, runs: Sequence[str]) -> Progress:
+    def _left(self, command: str, runs: Sequence[str]) -> BatchProgress:
         import pyarrow
 
         now = {run: fingerprint(run) for run in runs}
@@ -251,7 +251,7 @@ class Store:
             notes.append(f"{gone} runs that were computed are no longer there: the result is without them")
         if done and (new := sum(run not in done for run in pending)):
             notes.append(f"{len(now) - len(pending)} runs are done, {new} are left")
-        return Progress(pending, len(now) - len(pending), tuple(notes))
+        return BatchProgress(pending, len(now) - len(pending), tuple(notes))
 
     def _done(self) -> dict[str, tuple[str, ...]]:
         from pyarrow import parquet
@@ -332,7 +332,7 @@ Computed = Callable[[Iterator[str]], Iterator[Row]]
 
 
 @dataclass
-class Course:
+class PartWriter:
     """Rows that belong to no part yet, and where parts are written."""
 
     store: Store
@@ -341,7 +341,7 @@ class Course:
     _rows: list[Row] = field(default_factory=list)
     _since_s: float = 0.0
 
-    def carry_out(self, progress: Progress, computed: Computed) -> None:
+    def carry_out(self, progress: BatchProgress, computed: Computed) -> None:
         """Compute what is pending; unless the program is killed, each row that came is in a part at the end."""
         self._since_s = self.clock.now_s()
         rows = computed(iter(progress.pending))

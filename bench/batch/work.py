@@ -114,8 +114,8 @@ def _written(job: Job, source: Source, page: str) -> Path:
 
 
 def _compared(result: CalibrationResult, verdict: VerificationResult | None, stored: Stored) -> Row:
-    now, before = Found.of_result(result), stored.calibration
-    judged = None if verdict is None else Judged.of_result(verdict)
+    now, before = CalibrationValues.of_result(result), stored.calibration
+    judged = None if verdict is None else VerdictValues.of_result(verdict)
     notes = [*stored.notes, *(() if before is None else _notes_on(before, result)), *result.notes]
     return {
         **changes(before, now),
@@ -126,7 +126,7 @@ def _compared(result: CalibrationResult, verdict: VerificationResult | None, sto
     }
 
 
-def _notes_on(before: Found, result: CalibrationResult) -> Iterator[str]:
+def _notes_on(before: CalibrationValues, result: CalibrationResult) -> Iterator[str]:
     run = result.source.run
     if run is not None and before.head is not None and before.head != run.history.head:
         yield "the stored result is of another state of the record (its head is another)"
@@ -134,7 +134,7 @@ def _notes_on(before: Found, result: CalibrationResult) -> Iterator[str]:
         yield "the stored u is that of an earlier version: of the readings alone"
 
 
-def _verdicts(before: Judged | None, now: Judged | None) -> Row:
+def _verdicts(before: VerdictValues | None, now: VerdictValues | None) -> Row:
     row: Row = {}
     for one, suffix in ((before, "_stored"), (now, "")):
         if one is not None:
@@ -186,7 +186,7 @@ def _diagnosis(source: Source) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Found:
+class CalibrationValues:
     """A calibration as a row needs it: values and u (12,) in unit/g and unit; p of lack of fit, None unjudged."""
 
     estimator: str
@@ -208,7 +208,7 @@ class Found:
         return "does not fit" if self.p < LACK_OF_FIT_P else "fits"
 
     @classmethod
-    def of_result(cls, result: CalibrationResult) -> Found:
+    def of_result(cls, result: CalibrationResult) -> CalibrationValues:
         """Return what was found just now."""
         own = result.calibration
         p = own.lack_of_fit.p
@@ -218,7 +218,7 @@ class Found:
         )  # fmt: skip
 
     @classmethod
-    def of_file(cls, told: Mapping[str, Any]) -> Found:
+    def of_file(cls, told: Mapping[str, Any]) -> CalibrationValues:
         """Return what a file of results tells. Raises what a dictionary that is none raises."""
         sizes = [told["coefficients"][name] for name in COEFFICIENTS]
         p = told["residual"]["p"]
@@ -237,7 +237,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Judged:
+class VerdictValues:
     """A verdict: whether it is accepted, the statement, and the point with the largest |Δg| (g) with its u."""
 
     passed: bool
@@ -255,7 +255,7 @@ class Judged:
         return word if self.statement == plain else f"{word} ({self.statement})"
 
     @classmethod
-    def of_result(cls, result: VerificationResult) -> Judged:
+    def of_result(cls, result: VerificationResult) -> VerdictValues:
         """Return the verdict found just now."""
         found = result.verification
         return cls._of(
@@ -267,7 +267,7 @@ class Judged:
         )
 
     @classmethod
-    def of_file(cls, told: Mapping[str, Any]) -> Judged:
+    def of_file(cls, told: Mapping[str, Any]) -> VerdictValues:
         """Return what a file of results tells; earlier versions said no statement."""
         passed = bool(told["passed"])
         return cls._of(
@@ -281,7 +281,7 @@ class Judged:
     @classmethod
     def _of(
         cls, points: list[tuple[float, float]], passed: bool, statement: str, limit_g: float, rule: str
-    ) -> Judged:
+    ) -> VerdictValues:
         worst = max(points, key=lambda point: abs(point[0]), default=(None, None))
         return cls(passed, statement, worst[0], worst[1], limit_g, rule)
 
@@ -311,8 +311,8 @@ class Named:
 class Stored:
     """What a run's folder has of each; None where there is nothing that can be read (`notes` say why)."""
 
-    calibration: Found | None = None
-    verdict: Judged | None = None
+    calibration: CalibrationValues | None = None
+    verdict: VerdictValues | None = None
     diagnosis: Named | None = None
     notes: list[str] = field(default_factory=list)
 
@@ -320,8 +320,8 @@ class Stored:
 def stored_calibration(folder: Path) -> Stored:
     """Return coefficients and verdict that a run's folder has."""
     notes: list[str] = []
-    found = _read(folder / CALIBRATE_FILE, Found.of_file, notes)
-    judged = _read(folder / VERIFY_FILE, Judged.of_file, notes)
+    found = _read(folder / CALIBRATE_FILE, CalibrationValues.of_file, notes)
+    judged = _read(folder / VERIFY_FILE, VerdictValues.of_file, notes)
     return Stored(calibration=found, verdict=judged, notes=notes)
 
 
@@ -343,7 +343,7 @@ def _read(file: Path, understood: Any, notes: list[str]) -> Any:
         return None
 
 
-def changes(before: Found | None, now: Found) -> Row:
+def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
     """Return the columns of what was, what is and what changed; without a result before, of what is alone.
 
     Readings are the same, so that the change is no deviation by chance: it is in units of the u that was stated,
@@ -371,7 +371,7 @@ def changes(before: Found | None, now: Found) -> Row:
     return row
 
 
-def change_in_u(before: Found, now: Found) -> Floats:
+def change_in_u(before: CalibrationValues, now: CalibrationValues) -> Floats:
     """Return how far each coefficient went, (12,), in units of its u; NaN where it went and has none."""
     moved = now.values - before.values
     unit = np.where(before.u > 0, before.u, now.u)
@@ -380,7 +380,7 @@ def change_in_u(before: Found, now: Found) -> Floats:
     return change
 
 
-def _columns(found: Found, suffix: str) -> Row:
+def _columns(found: CalibrationValues, suffix: str) -> Row:
     return {
         f"estimator{suffix}": found.estimator,
         f"model{suffix}": found.model,

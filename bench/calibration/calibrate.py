@@ -11,15 +11,15 @@ import numpy as np
 
 from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
 from bench.calibration import gls, mistakes, outliers
-from bench.calibration.components import Shared, heavy_tails, notes_on_noise, take_in
+from bench.calibration.components import SharedErrorFit, heavy_tails, notes_on_noise, take_in
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.calibration.estimators import ESTIMATORS, GLS, ROBUST, find_estimator
 from bench.calibration.free import first_guess_free, triangular
-from bench.calibration.gls import Estimator, Task
+from bench.calibration.gls import Estimator, WeightingTask
 from bench.calibration.linear import linear_estimate
 from bench.calibration.noise import KnownStand, require_told
 from bench.calibration.observability import GAIN, GRAVITY, assumptions, require_rank
-from bench.calibration.outliers import Chosen
+from bench.calibration.outliers import FittedRows
 from bench.calibration.result import (
     Calibration,
     CalibrationError,
@@ -89,7 +89,7 @@ def calibrate(
     accepted = fit_test.accepted()  # else readings that are far off are off from a wrong model
     floor = gls.noise_floor(rows.signal, resolution, problem.free)
     alone = fit.covariance
-    shared = take_in(problem, fit, readings.unit, floor) if find_shared else Shared(fit)
+    shared = take_in(problem, fit, readings.unit, floor) if find_shared else SharedErrorFit(fit)
     fit = shared.fit
     if by.gain is not None:
         fit = linear_estimate(problem, rows.signal, fit, by.gain(problem, rows), shared.covariance)
@@ -147,7 +147,7 @@ def _left_assumed(assumed_u: Mapping[str, float], known: KnownStand | None) -> d
 
 def _choose(
     readings: Readings, model: ForwardModel, by: Estimator, *, join_free: bool, join_verification: bool
-) -> Chosen:
+) -> FittedRows:
     if join_verification and not by.weighs_all:
         able = " or ".join(e.name for e in ESTIMATORS.values() if e.weighs_all)
         raise CalibrationError(
@@ -161,7 +161,7 @@ def _choose(
     alone = bool(np.any(readings.installation[joins] == FREE)) and not len(readings.oriented())
     rows = readings.oriented() if alone else usable_rows(readings, model)
     oriented = np.flatnonzero(readings.is_oriented)
-    return Chosen(rows, free, oriented, np.flatnonzero(joins))
+    return FittedRows(rows, free, oriented, np.flatnonzero(joins))
 
 
 def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
@@ -182,7 +182,7 @@ def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
     return rows
 
 
-def _free_rows(chosen: Chosen, readings: Readings) -> FreeRows | None:
+def _free_rows(chosen: FittedRows, readings: Readings) -> FreeRows | None:
     """Return the free rows with times and temperatures as the whole table has them."""
     if not len(chosen.free):
         return None
@@ -194,7 +194,9 @@ def _free_rows(chosen: Chosen, readings: Readings) -> FreeRows | None:
     )
 
 
-def _notes_on_rows(readings: Readings, chosen: Chosen, estimator: str, *, join_free: bool) -> tuple[str, ...]:
+def _notes_on_rows(
+    readings: Readings, chosen: FittedRows, estimator: str, *, join_free: bool
+) -> tuple[str, ...]:
     if np.any(chosen.free.installation == VERIFICATION):
         return ("the verification points joined the fit: they are no independent check of it",)
     count = int(np.sum(readings.installation == FREE))
@@ -247,14 +249,14 @@ def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Bl
 
 
 def _fitted(
-    problem: Problem, signal: Floats, refit: partial[gls.Fit], by: Estimator, chosen: Chosen
+    problem: Problem, signal: Floats, refit: partial[gls.Fit], by: Estimator, chosen: FittedRows
 ) -> tuple[gls.Fit, tuple[Outlier, ...], tuple[str, ...]]:
     """Fit, weigh as the estimator does, and look for outliers where it does not take their weight away."""
     fit = refit()
     largest = max(float(np.max(np.abs(t.signal), initial=0.0)) for t in (chosen.oriented, chosen.free))
     if fit.noise.reading < ROUNDING * largest:
         return fit, (), ()
-    task = Task(problem, signal, fit, lambda shifts: refit(shifts=shifts))
+    task = WeightingTask(problem, signal, fit, lambda shifts: refit(shifts=shifts))
     fit = by.weigh(task)
     if by.drops_outliers:
         return fit, outliers.listed(fit, chosen), ()
@@ -267,7 +269,7 @@ def _fitted(
     return fit, (), notes
 
 
-def _birge(test: LackOfFit, shared: Shared) -> float:
+def _birge(test: LackOfFit, shared: SharedErrorFit) -> float:
     """Return by how much u widens for what the model leaves, where no component of the readings has taken it in.
 
     The Birge ratio, the root of the reduced chi-square. Source: R. T. Birge, Phys. Rev. 40 (1932) 207.
@@ -292,13 +294,13 @@ def _of_assumed(problem: Problem, fit: gls.Fit, assumed: Mapping[str, float], by
     return np.asarray(across @ np.linalg.solve(fit.covariance[np.ix_(at, at)], across.T))
 
 
-def _whole(oriented: Floats, chosen: Chosen, rows: int) -> Floats:
+def _whole(oriented: Floats, chosen: FittedRows, rows: int) -> Floats:
     whole = np.zeros((rows, 3))
     whole[chosen.oriented_rows] = oriented
     return whole
 
 
-def _whole_gain(oriented: Floats, free: Floats, chosen: Chosen, rows: int) -> Floats:
+def _whole_gain(oriented: Floats, free: Floats, chosen: FittedRows, rows: int) -> Floats:
     """Return the map (12, rows, 3) from the whole table to the coefficients, zero for rows that are not used."""
     whole = np.zeros((FIXED, rows, 3))
     whole[:, chosen.oriented_rows] = oriented[:FIXED]

@@ -14,7 +14,7 @@ from bench.base.numbers import scale_for
 from bench.calibration.design import Problem
 from bench.calibration.gls import Fit, finish
 from bench.calibration.noise import LEAST_REPEATS, repeat_groups, scatter_of_repeats
-from bench.calibration.result import Component, Drift, Noise, NoisePrior, widening
+from bench.calibration.result import BiasWander, Component, Noise, NoisePrior, widening
 from bench.model.conditions import Conditions
 from bench.stats.reml import Mixed, Projection, asked_for, maximise
 from bench.stats.repeats_likelihood import DIGITS
@@ -36,7 +36,7 @@ DRIFT: Final = "drift"
 
 
 @dataclass(frozen=True)
-class Shared:
+class SharedErrorFit:
     """A fit that holds what its readings share, the components that were taken in, and the drift if one was.
 
     `covariance` (3n + m, 3n + m) is that of the readings then; None where each is as the noise says. `wander` (3,),
@@ -46,7 +46,7 @@ class Shared:
 
     fit: Fit
     components: tuple[Component, ...] = ()
-    drift: Drift | None = None
+    drift: BiasWander | None = None
     covariance: Floats | None = None
     wander: Floats | None = None
 
@@ -62,7 +62,7 @@ class _Term:
     """What a draw of unit variance is in the unit of the signal (channels,) or rad."""
 
 
-def take_in(problem: Problem, fit: Fit, unit: str, floor: float = 0.0) -> Shared:
+def take_in(problem: Problem, fit: Fit, unit: str, floor: float = 0.0) -> SharedErrorFit:
     """Return the fit with what its readings share. Nothing is searched where there are too few repeats.
 
     Nor where the noise is that of the last digit, whose covariance is singular within rounding. `floor`
@@ -71,21 +71,21 @@ def take_in(problem: Problem, fit: Fit, unit: str, floor: float = 0.0) -> Shared
     try:
         return _searched(problem, fit, unit, floor)
     except np.linalg.LinAlgError:
-        return Shared(fit)
+        return SharedErrorFit(fit)
 
 
-def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> Shared:
+def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErrorFit:
     conditions, n = problem.conditions, len(problem.conditions)
     if not 0 < 3 * n <= MOST_SIGNALS or fit.noise.source != "repeats":
-        return Shared(fit)
+        return SharedErrorFit(fit)
     if fit.noise.reading**2 <= DIGITS * floor**2:  # rounding repeats itself, and stands in no other number
-        return Shared(fit)
+        return SharedErrorFit(fit)
     basic = _basic(fit)
     base = len(basic)
     terms, theta, chance, open_to = _taken_in(problem, fit, basic, list(_further(conditions, fit)), floor)
     theta[base:] = np.where(theta[base:] < HARDLY_ANY, 0.0, theta[base:])
     if not np.any(theta[base:] > 0):
-        return Shared(fit, wander=open_to)
+        return SharedErrorFit(fit, wander=open_to)
     own = _mixed(problem, fit, [t.columns for t in terms])
     at = Projection.at(own, theta)
     shared = _shared(problem, fit, own, terms, theta, at, chance, base, unit)
@@ -276,7 +276,7 @@ def _mixed(problem: Problem, fit: Fit, Z: list[Floats]) -> Mixed:
 def _shared(
     problem: Problem, fit: Fit, mixed: Mixed, terms: list[_Term], theta: Floats, at: Projection, chance: Floats,
     base: int, unit: str,
-) -> Shared:  # fmt: skip
+) -> SharedErrorFit:  # fmt: skip
     used = theta > 0
     information = at.moments(mixed.only(used).columns)[2]
     spread = np.linalg.pinv(information * np.outer(theta[used], theta[used]), rcond=1e-10)
@@ -297,7 +297,7 @@ def _shared(
     drifts = [
         (t, z, size) for t, z, size in zip(terms, mixed.Z, theta, strict=True) if t.what == DRIFT and size
     ]
-    return Shared(final, found, _drift(problem, mixed, at, drifts, n) if drifts else None, covariance)
+    return SharedErrorFit(final, found, _drift(problem, mixed, at, drifts, n) if drifts else None, covariance)
 
 
 def _noise(fit: Fit, terms: list[_Term], theta: Floats, dof: Floats, base: int) -> Noise:
@@ -311,7 +311,7 @@ def _noise(fit: Fit, terms: list[_Term], theta: Floats, dof: Floats, base: int) 
 
 def _drift(
     problem: Problem, mixed: Mixed, at: Projection, drifts: list[tuple[_Term, Floats, float]], n: int
-) -> Drift:
+) -> BiasWander:
     """The best linear prediction of each channel's course, and of the line through it."""
     time_h = problem.conditions.elapsed_s / HOUR
     line = time_h - time_h.mean()
@@ -321,7 +321,7 @@ def _drift(
         own = columns[c : 3 * n : 3]
         course[:, c] = own @ (variance * (columns.T @ at.Py))
         size[c] = float(np.sqrt(variance)) * rms(term.unit_of)
-    return Drift(size, course, line @ course / (line @ line), float(np.ptp(time_h)))
+    return BiasWander(size, course, line @ course / (line @ line), float(np.ptp(time_h)))
 
 
 def heavy_tails(problem: Problem, fit: Fit) -> float:
@@ -363,7 +363,9 @@ _SHARED_BY: Final = {
 }
 
 
-def notes_on_noise(noise: Noise, tails: float, shared: Shared, birge: float, unit: str) -> tuple[str, ...]:
+def notes_on_noise(
+    noise: Noise, tails: float, shared: SharedErrorFit, birge: float, unit: str
+) -> tuple[str, ...]:
     """Return the sentences; `tails` is the probability of such tails, `birge` by how much u was widened."""
     notes = [*note_on_prior(noise, unit)]
     if noise.channels is not None and noise.p_equal < UNEQUAL_P:

@@ -127,7 +127,7 @@ class DecisionRule:
         times = "" if self.guard_band == 1.0 else f"{self.guard_band:g} "
         return self.name if self.name == SIMPLE else f"{self.name} (w = {times}U)"
 
-    def acceptance_limit(self, limit: float, known: Known) -> Floats:
+    def acceptance_limit(self, limit: float, known: MeasuredValues) -> Floats:
         """Return up to which |y| is accepted, (n,).
 
         Negative where nothing is: where U is more than the limit no value can be stated to conform, not even 0.
@@ -136,7 +136,7 @@ class DecisionRule:
         sure = self.pass_limit(limit, known)
         return np.where(known.expanded <= limit, limit, sure) if self.name == SIMPLE else sure
 
-    def pass_limit(self, limit: float, known: Known) -> Floats:
+    def pass_limit(self, limit: float, known: MeasuredValues) -> Floats:
         """Return up to which |y| is stated to pass, (n,); negative where nothing is."""
         if self.guard_band is None:
             capable = known.expanded <= limit
@@ -154,7 +154,7 @@ class DecisionRule:
         left_open = statement is Statement.CONDITIONAL_PASS and self.name == NON_BINARY
         return statement is not Statement.INCONCLUSIVE and not left_open
 
-    def statements(self, value: Floats, limit: float, known: Known) -> list[Statement]:
+    def statements(self, value: Floats, limit: float, known: MeasuredValues) -> list[Statement]:
         """Return the statements on measured values (n,).
 
         With U beyond the limit there is none but "fail", of a value that is out by more than the guard band and U.
@@ -183,7 +183,7 @@ def _statement(size: float, guard: float, expanded: float, passes_to: float, lim
 
 
 @dataclass(frozen=True)
-class Known:
+class MeasuredValues:
     """What is known of n measured values but the values: u, U, degrees of freedom, each (n,), and a population."""
 
     u: Floats
@@ -192,13 +192,15 @@ class Known:
     population: Population | None = None
 
     @classmethod
-    def of(cls, u: ArrayLike, dof: ArrayLike = np.inf, population: Population | None = None) -> Known:
+    def of(
+        cls, u: ArrayLike, dof: ArrayLike = np.inf, population: Population | None = None
+    ) -> MeasuredValues:
         """Return it with U at the level of k = 2."""
         size, nu = (np.atleast_1d(np.asarray(one, dtype=np.float64)) for one in (u, dof))
         nu = np.broadcast_to(nu, size.shape)
         return cls(size, coverage_factor(nu) * size, nu, population)
 
-    def but(self, *, times: float) -> Known:
+    def but(self, *, times: float) -> MeasuredValues:
         """Return it with all uncertainties so many times as large."""
         return replace(self, u=times * self.u, expanded=times * self.expanded)
 
@@ -207,7 +209,7 @@ class Known:
         return probability_outside(value, self.u, limit, self.dof, self.population)
 
 
-def _largest_sure(limit: float, known: Known) -> Floats:
+def _largest_sure(limit: float, known: MeasuredValues) -> Floats:
     """Return the largest |y| (n,) at which, on either side, the probability of a false acceptance is not too large.
 
     At most the limit; −limit where even 0 has more. By bisection: on the worse side the probability grows with |y|.

@@ -20,8 +20,8 @@ from bench.calibration.design import FIXED, FreeRows, Problem
 from bench.calibration.free import NO_MODULI, Modulus, modulus_rows
 from bench.calibration.noise import (
     LEAST_REPEATS,
+    LikelihoodResiduals,
     RepeatedNoise,
-    Residuals,
     noise_from_repeats,
     noise_from_residuals,
     repeat_groups,
@@ -317,7 +317,7 @@ def estimate_noise(problem: Problem, system: System, groups: Ints, others: Float
     ratio = np.ones(3) if known is None else known.channels / rms(known.channels)
     moduli = moduli / np.linalg.norm(free.by_signal * ratio, axis=1)[:, None]
     found = noise_from_residuals(
-        Residuals(columns / ratio[:, None], slope / ratio, moduli, fixed), floor, known
+        LikelihoodResiduals(columns / ratio[:, None], slope / ratio, moduli, fixed), floor, known
     )
     if np.ptp(ratio) == 0.0:
         return found
@@ -416,7 +416,7 @@ def misfit_test(
 
 
 @dataclass(frozen=True)
-class Task:
+class WeightingTask:
     """Readings to weigh: their `signal` (n, 3) in V, `fit` by generalised least squares, and how to fit anew.
 
     `refit` takes the shifts of readings that are to have no weight.
@@ -428,7 +428,7 @@ class Task:
     refit: Callable[[tuple[Shift, ...]], Fit]
 
 
-def _as_it_is(task: Task) -> Fit:
+def _as_it_is(task: WeightingTask) -> Fit:
     return task.fit
 
 
@@ -446,7 +446,7 @@ class Estimator:
 
     name: str
     phrase: str
-    weigh: Callable[[Task], Fit] = _as_it_is
+    weigh: Callable[[WeightingTask], Fit] = _as_it_is
     gain: Callable[[Problem, Readings], Floats] | None = None
     angles_rad: Callable[[Readings], Floats] | None = None
     drops_outliers: bool = False

@@ -183,7 +183,7 @@ SAME_SCATTER: Final = 1e-3
 
 
 @dataclass(frozen=True)
-class Scatter:
+class RepeatScatter:
     """Scatter within groups of repeats.
 
     `matrix` (groups, 3, 3) is the sum of d d^T over the deviations of a group from its mean, unit^2; `freedom`
@@ -199,7 +199,7 @@ class Scatter:
         """Repeats in all, in settings of the head (each has three signals)."""
         return int(self.freedom.sum())
 
-    def is_close_to(self, other: Scatter) -> bool:
+    def is_close_to(self, other: RepeatScatter) -> bool:
         """Whether another scatter of the same groups would give the same sizes, to a part in a thousand."""
         return all(
             float(np.abs(a - b).sum()) <= SAME_SCATTER * float(np.abs(b).sum())
@@ -214,7 +214,7 @@ def repeat_groups(conditions: Conditions) -> Ints:
     return np.asarray(np.unique(key, return_inverse=True)[1])
 
 
-def scatter_of_repeats(residuals: Floats, slope: Floats, groups: Ints) -> Scatter:
+def scatter_of_repeats(residuals: Floats, slope: Floats, groups: Ints) -> RepeatScatter:
     """Return the scatter of residuals (n, 3) about their group's mean; `slope` (n, 3) is d = du/dphi.
 
     Residuals, not readings: the angle read back differs a little from repeat to repeat.
@@ -223,7 +223,7 @@ def scatter_of_repeats(residuals: Floats, slope: Floats, groups: Ints) -> Scatte
     deviation = residuals - (_group_sum(residuals, groups) / count[:, None])[groups]
     products = (deviation[:, :, None] * deviation[:, None, :]).reshape(-1, 9)
     repeated = count > 1
-    return Scatter(
+    return RepeatScatter(
         matrix=_group_sum(products, groups)[repeated].reshape(-1, 3, 3),
         freedom=(count - 1)[repeated],
         slope=(_group_sum(slope, groups) / count[:, None])[repeated],
@@ -234,7 +234,7 @@ def _group_sum(values: Floats, groups: Ints) -> Floats:
     return np.stack([np.bincount(groups, column).astype(np.float64) for column in values.T], axis=1)
 
 
-def noise_from_repeats(scatter: Scatter, floor: float, *, one_size: bool = False) -> Noise:
+def noise_from_repeats(scatter: RepeatScatter, floor: float, *, one_size: bool = False) -> Noise:
     """Restricted maximum likelihood of the sizes of the noise from repeats, of each channel its own if they differ.
 
     `floor` (unit of the signal) is the least noise that is believed: the last digit of a reply.
@@ -273,7 +273,7 @@ class RepeatedNoise:
         self._floor = floor
         self._one_size = one_size
         self._groups = groups
-        self._known: tuple[Scatter, Noise] | None = None
+        self._known: tuple[RepeatScatter, Noise] | None = None
 
     def sizes(self, residuals: Floats, slope: Floats) -> Noise | None:
         """Return the sizes for residuals (n, 3) and du/dphi (n, 3); None where there are too few repeats."""
@@ -310,7 +310,7 @@ MOST_PART: Final = 10.0
 
 
 @dataclass(frozen=True)
-class Residuals:
+class LikelihoodResiduals:
     """What the model leaves, for the restricted likelihood of the two sizes of the noise.
 
     `columns` (n, 3, p + 1) are the derivatives by the unknowns, and the response last; those from `fixed` on are
@@ -382,7 +382,7 @@ class Residuals:
         return float(log_det + misfit), 2 * np.array([by_reading, by_setting]), float(misfit)
 
 
-def noise_from_residuals(of: Residuals, floor: float, known: KnownNoise | None = None) -> Noise:
+def noise_from_residuals(of: LikelihoodResiduals, floor: float, known: KnownNoise | None = None) -> Noise:
     """Restricted maximum likelihood of the two sizes of the noise from what the model leaves.
 
     For data without enough repeats. What is `known` of the sizes counts in it as a prior: of a statement as much as
@@ -405,7 +405,7 @@ def require_told(noise: Noise) -> None:
         )
 
 
-def _prior(of: Residuals, known: KnownNoise, floor: float) -> NoisePrior:
+def _prior(of: LikelihoodResiduals, known: KnownNoise, floor: float) -> NoisePrior:
     """Return what is known beside the residuals: their y^T P y is chi-square if it holds, F about an estimate."""
     reading, freedom = max(rms(known.channels), floor), of.count - of.fixed
     prior = NoisePrior(reading, known.setting_rad, known.dof, freedom, np.nan, np.nan, known.stated)
@@ -420,7 +420,7 @@ def _prior(of: Residuals, known: KnownNoise, floor: float) -> NoisePrior:
     return replace(prior, ratio=float(np.sqrt(ratio)), p=2.0 * min(above, 1.0 - above))
 
 
-def _most_likely(of: Residuals, floor: float, prior: NoisePrior | None) -> Noise:
+def _most_likely(of: LikelihoodResiduals, floor: float, prior: NoisePrior | None) -> Noise:
     signals, own = of.count - of.unknowns, of.spread(of.unknowns)
     guess = max(own, floor)
     setting, most, weight = 0.3 * guess / of.steepness, MOST_PART * guess, 0.0

@@ -280,7 +280,7 @@ def with_angles(problem: Problem, names: Collection[str]) -> Problem:
 
 
 @dataclass(frozen=True)
-class Columns:
+class Sensitivities:
     """Derivatives of readings by unknowns: `rows` (m, p) in unit per SI, one row a signal, and `names` (p,)."""
 
     rows: Floats
@@ -290,10 +290,10 @@ class Columns:
         """Return the column of an unknown, shape (m,)."""
         return np.asarray(self.rows[:, self.names.index(name)])
 
-    def without(self, names: Collection[str]) -> Columns:
+    def without(self, names: Collection[str]) -> Sensitivities:
         """Return the columns of the other unknowns."""
         kept = [j for j, name in enumerate(self.names) if name not in names]
-        return Columns(self.rows[:, kept], tuple(self.names[j] for j in kept))
+        return Sensitivities(self.rows[:, kept], tuple(self.names[j] for j in kept))
 
     def observability(self, block: Block) -> Observability:
         """Return what rows like these determine; `block` tells how a turn of its axes looks."""
@@ -331,7 +331,7 @@ def observability(
     return columns.observability(block)
 
 
-def columns_of(problem: Problem, block: Block, modulus: Conditions | None = None) -> Columns:
+def columns_of(problem: Problem, block: Block, modulus: Conditions | None = None) -> Sensitivities:
     """Return the derivatives by all unknowns of a problem at zero stand angles; `modulus` as above.
 
     Free readings of the problem take part by the modulus, too.
@@ -347,17 +347,17 @@ def columns_of(problem: Problem, block: Block, modulus: Conditions | None = None
         level = np.zeros((len(modulus.mounts), len(STAND_ANGLES)))
         free = FreeRows(problem.model.readings(block, modulus, level), modulus)
         parts.append(typical * modulus_rows(replace(problem, free=free), block, others).jacobian)
-    return Columns(np.vstack(parts), (*COEFFICIENTS, *problem.names()))
+    return Sensitivities(np.vstack(parts), (*COEFFICIENTS, *problem.names()))
 
 
-def _made_common(columns: Columns, symbol: str) -> Columns:
+def _made_common(columns: Sensitivities, symbol: str) -> Sensitivities:
     own = [name for name in columns.names if name.startswith(f"{symbol}[")]
     merged = sum((columns.of(name) for name in own), np.zeros(len(columns.rows)))
     rest = columns.without(own)
-    return Columns(np.column_stack([rest.rows, merged]), (*rest.names, f"{symbol}[all]"))
+    return Sensitivities(np.column_stack([rest.rows, merged]), (*rest.names, f"{symbol}[all]"))
 
 
-def _with_settings(columns: Columns, problem: Problem, block: Block) -> Columns:
+def _with_settings(columns: Sensitivities, problem: Problem, block: Block) -> Sensitivities:
     conditions = problem.conditions
     slope = problem.slope(block, problem.prior_mean)
     places = np.stack([conditions.mount, conditions.point], axis=1)
@@ -368,7 +368,7 @@ def _with_settings(columns: Columns, problem: Problem, block: Block) -> Columns:
         column[: slope.size] = (slope * here[:, None]).ravel()
         added.append(column)
         names.append(f"alpha4[{conditions.mounts[mount]}, point {point}]")
-    return Columns(np.column_stack([columns.rows, *added]), (*columns.names, *names))
+    return Sensitivities(np.column_stack([columns.rows, *added]), (*columns.names, *names))
 
 
 # --- assumptions in words -------------------------------------------------------------------------
@@ -429,7 +429,9 @@ def _is_unknown(problem: Problem, name: str) -> bool:
     return any(STAND_ANGLES[s.column] == name for s in problem.stand)
 
 
-def _absent(problem: Problem, columns: Columns, block: Block, gain: Floats, unit: str, name: str) -> str:
+def _absent(
+    problem: Problem, columns: Sensitivities, block: Block, gain: Floats, unit: str, name: str
+) -> str:
     """Say what an arcsecond of a stand angle that is assumed zero puts into the coefficients."""
     oriented = gain[:FIXED].reshape(FIXED, -1)
     mounts = problem.conditions.mounts
@@ -453,14 +455,14 @@ def _absent(problem: Problem, columns: Columns, block: Block, gain: Floats, unit
     )
 
 
-def _shown(columns: Columns, oriented: int, block: Block, name: str) -> str:
+def _shown(columns: Sensitivities, oriented: int, block: Block, name: str) -> str:
     """Whether readings show an angle where it is no unknown; common turns of the block's axes aside.
 
     Of the rows of `columns` the first `oriented` are signals, those behind them moduli.
     """
     if _is_hidden(columns, block, name):
         return "nothing in these readings shows it"
-    if not _is_hidden(Columns(columns.rows[:oriented], columns.names), block, name):
+    if not _is_hidden(Sensitivities(columns.rows[:oriented], columns.names), block, name):
         return "these readings would show it if the bench file stated its size"
     pairs = [
         f"the {d.only} of {' and '.join(sorted(d.others))}"
@@ -474,7 +476,7 @@ def _shown(columns: Columns, oriented: int, block: Block, name: str) -> str:
     )
 
 
-def _is_hidden(columns: Columns, block: Block, name: str) -> bool:
+def _is_hidden(columns: Sensitivities, block: Block, name: str) -> bool:
     found = columns.observability(block).directions
     hidden = {member for d in found if d.kind is not DirectionKind.TURN for member in d.members}
     return any(member.startswith(f"{SYMBOLS[name]}[") for member in hidden)

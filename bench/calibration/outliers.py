@@ -19,7 +19,7 @@ from scipy import special
 
 from bench.base.arrays import ARCSEC, Floats, Ints, unit_vectors
 from bench.calibration.design import Problem
-from bench.calibration.gls import MODULUS, SETTING, Estimator, Fit, Shift, Task, whitened_rows
+from bench.calibration.gls import MODULUS, SETTING, Estimator, Fit, Shift, WeightingTask, whitened_rows
 from bench.calibration.noise import whiten
 from bench.calibration.result import Outlier
 from bench.readings.table import Readings
@@ -37,7 +37,7 @@ LEAST_PART: Final = 1e-6
 
 
 @dataclass(frozen=True)
-class Chosen:
+class FittedRows:
     """The rows of a fit: oriented and free, and where each stands in the table (from 0)."""
 
     oriented: Readings
@@ -109,7 +109,7 @@ def most_extreme(problem: Problem, fit: Fit) -> tuple[Shift, float]:
     return Shift(worst // 4, (0, 1, 2, SETTING)[worst % 4]), size
 
 
-def listed(fit: Fit, chosen: Chosen) -> tuple[Outlier, ...]:
+def listed(fit: Fit, chosen: FittedRows) -> tuple[Outlier, ...]:
     """Return the shifts of a fit as outliers, with their places in the table."""
     found = []
     for shift, size, u in zip(fit.shifts, fit.shift, fit.u_shift, strict=True):
@@ -142,7 +142,7 @@ def _studentised(found: Floats, variance: Floats, whole: Floats) -> Floats:
     return np.asarray(np.where(free, np.abs(found) / np.sqrt(np.where(free, variance, 1.0)), 0.0))
 
 
-def _without_outliers(task: Task) -> Fit:
+def _without_outliers(task: WeightingTask) -> Fit:
     return search(task.problem, task.fit, task.refit, most_outliers(task.problem))
 
 

@@ -248,7 +248,7 @@ class Component:
 
 
 @dataclass(frozen=True)
-class Drift:
+class BiasWander:
     """How far the biases wander about their mean over the run: `size` (3,) rms in the unit, over `hours`.
 
     `course` (n, 3) is the estimate at each reading, `per_hour` (3,) the slope of its best line.
@@ -304,7 +304,7 @@ class Calibration(HasCovariance):
     triangular: Triangular | None = None
     angles: str = "read back"
     shared: tuple[Component, ...] = ()
-    drift: Drift | None = None
+    drift: BiasWander | None = None
     wander: Floats | None = None
     birge: float = 1.0
     p_tails: float = float("nan")

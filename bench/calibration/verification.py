@@ -15,7 +15,7 @@ from bench.calibration.conformity import (
     NON_BINARY,
     DecisionRule,
     GlobalRisk,
-    Known,
+    MeasuredValues,
     Population,
     Statement,
     coverage_factor,
@@ -78,7 +78,7 @@ class VerificationPoint:
 
 
 @dataclass(frozen=True)
-class ToPass:
+class LimitToPass:
     """The limit of |delta g| (g) that would be met, and the part of u that would meet the limit as it is.
 
     `u_times` is None where no u is small enough; `point` lies furthest beyond what is accepted.
@@ -185,19 +185,19 @@ class Verification:
         return np.array([point.dof for point in self.points])
 
     @cached_property
-    def to_pass(self) -> ToPass | None:
+    def to_pass(self) -> LimitToPass | None:
         """What would make it pass, all else as it is; None where it passes, or points are missing."""
         if self.passed or self.missing:
             return None
         u, sizes = np.array([point.u for point in self.points]), np.abs(self._errors)
-        known = Known.of(u, self._dof, self.population)
+        known = MeasuredValues.of(u, self._dof, self.population)
 
         def passes(limit: float, times: float) -> bool:
             return bool(np.all(sizes <= self.decision.acceptance_limit(limit, known.but(times=times))))
 
         most = float(np.max(sizes + (4.0 + (self.decision.guard_band or 0.0)) * known.expanded))
         needed = max(range(len(sizes)), key=lambda i: sizes[i] - self.points[i].accepted_up_to)
-        return ToPass(
+        return LimitToPass(
             limit_g=_bisected(lambda limit: passes(limit, 1.0), most, self.limit_g),
             u_times=_bisected(lambda times: passes(self.limit_g, times), 0.0, 1.0) or None,
             point=self.points[needed],
@@ -258,7 +258,7 @@ def verify(
     joint = {name: part * g_ratio**2 for name, part in joint.items()}
     together = sum(joint.values(), np.zeros((len(rows), len(rows))))
     u = np.sqrt(np.maximum(np.diag(together), 0.0))
-    known = Known.of(u, dof, population)
+    known = MeasuredValues.of(u, dof, population)
     k, outside = coverage_factor(known.dof), known.outside(errors, limit_g)
     accepted_up_to = decision.acceptance_limit(limit_g, known)
     statements = decision.statements(errors, limit_g, known)

@@ -197,7 +197,7 @@ _KEYS: Final = frozenset({"id", "run", "instrument", "certificate"})
 
 
 @dataclass(frozen=True)
-class Found:
+class FolderEntry:
     """What stands in a folder: the rows by table, or a `reason` why it is no run of the catalogue."""
 
     path: str
@@ -211,17 +211,21 @@ class Found:
         return self.rows["runs"][0]["id"] if self.rows else None
 
 
-def read_folder(path: str, fingerprint: str, *, whole: bool = False) -> Found:
+def read_folder(path: str, fingerprint: str, *, whole: bool = False) -> FolderEntry:
     """Return the rows of a run folder, or why there are none; `whole` reads every event of its record."""
     try:
         rows = _rows(Path(path), whole=whole)
-        return Found(path, fingerprint, {name: [_storable(row) for row in own] for name, own in rows.items()})
+        return FolderEntry(
+            path, fingerprint, {name: [_storable(row) for row in own] for name, own in rows.items()}
+        )
     except (RecordError, Refused) as error:
-        return Found(path, fingerprint, reason=_in_a_line(error, path))
+        return FolderEntry(path, fingerprint, reason=_in_a_line(error, path))
     except OSError as error:
-        return Found(path, fingerprint, reason=f"cannot be read ({error.strerror})")
+        return FolderEntry(path, fingerprint, reason=f"cannot be read ({error.strerror})")
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        return Found(path, fingerprint, reason=f"not as this program writes it ({_in_a_line(error, path)})")
+        return FolderEntry(
+            path, fingerprint, reason=f"not as this program writes it ({_in_a_line(error, path)})"
+        )
 
 
 def _rows(folder: Path, *, whole: bool) -> dict[str, list[Row]]:

@@ -282,7 +282,7 @@ KEYS: Final[Mapping[str, Key]] = {
 
 
 @dataclass(frozen=True)
-class Answer:
+class AnswerTable:
     """A table: the names of its columns, its rows (None where nothing was recorded)."""
 
     columns: tuple[str, ...]
@@ -321,7 +321,7 @@ class Answer:
         write_whole(file, written.getvalue())
 
 
-def answer(catalogue: Catalogue, query: Sequence[str], of: str = "runs") -> Answer:
+def answer(catalogue: Catalogue, query: Sequence[str], of: str = "runs") -> AnswerTable:
     """Return the runs that a question names, or what `of` says of them (see `KINDS`).
 
     Raises `Refused` for a question that is none.
@@ -331,7 +331,7 @@ def answer(catalogue: Catalogue, query: Sequence[str], of: str = "runs") -> Answ
     statement = KINDS[of](condition_of(query))
     with catalogue.reading() as connection:
         result = connection.execute(statement)
-        found = Answer(tuple(result.keys()), tuple(tuple(row) for row in result))
+        found = AnswerTable(tuple(result.keys()), tuple(tuple(row) for row in result))
     return _unpacked(found) if of == "coefficients" else found
 
 
@@ -367,7 +367,7 @@ def _coefficients(asked: Condition) -> Select[Any]:
     )  # fmt: skip
 
 
-def _unpacked(found: Answer) -> Answer:
+def _unpacked(found: AnswerTable) -> AnswerTable:
     """Return the table with each coefficient and its u in a column of its own."""
     size = len(COEFFICIENTS)
     rows = []
@@ -376,7 +376,7 @@ def _unpacked(found: Answer) -> Answer:
         sizes = u_of(np.frombuffer(row[-1], dtype="<f8").reshape(size, size))
         rows.append((*row[:-2], *values.tolist(), *sizes.tolist()))
     names = (*found.columns[:-2], *COEFFICIENTS, *(f"u_{name}" for name in COEFFICIENTS))
-    return Answer(names, tuple(rows))
+    return AnswerTable(names, tuple(rows))
 
 
 def _counts() -> list[Any]:

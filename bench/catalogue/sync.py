@@ -27,7 +27,7 @@ from sqlalchemy import delete, select, update
 
 from bench.base.computing import tracked
 from bench.base.text import visible
-from bench.catalogue.folder import Found, Row, issued_in, read_folder
+from bench.catalogue.folder import FolderEntry, Row, issued_in, read_folder
 from bench.catalogue.store import (
     CERTIFICATES,
     FOLDERS,
@@ -156,8 +156,8 @@ def _roots(folders: Sequence[str | Path]) -> list[str]:
     return roots
 
 
-def _seen(roots: Sequence[str], processes: int) -> Seen:
-    seen = Seen()
+def _seen(roots: Sequence[str], processes: int) -> WalkResult:
+    seen = WalkResult()
     now_ns = time.time_ns()
     for root in tracked(roots, "looking for runs"):
         try:
@@ -171,10 +171,10 @@ def _seen(roots: Sequence[str], processes: int) -> Seen:
     for path in [path for path in seen.runs if not _is_text(path)]:
         odd[visible(path)] = "its name is not UTF-8: rename it"
         del seen.runs[path]
-    return Seen(seen.runs, odd, seen.registers)
+    return WalkResult(seen.runs, odd, seen.registers)
 
 
-def _look_apart(seen: Seen, waiting: list[Place], now_ns: int, processes: int) -> None:
+def _look_apart(seen: WalkResult, waiting: list[Place], now_ns: int, processes: int) -> None:
     """Look into many folders by processes, and in this one meanwhile."""
     parts = list(_batches(waiting, LOOKED))
     with pool_of(processes - 1, ENDED) as pool:
@@ -220,7 +220,7 @@ def _proved(connection: Connection) -> set[int]:
     return set(connection.execute(select(RUNS.c.id).where(RUNS.c.record == "read")).scalars())
 
 
-def _read(waiting: list[tuple[str, str]], whole: bool, processes: int) -> Iterator[Found]:
+def _read(waiting: list[tuple[str, str]], whole: bool, processes: int) -> Iterator[FolderEntry]:
     """Yield what stands in folders, in their order; few are read here, many by processes."""
     if len(waiting) <= FEW or processes < 2:
         for path, mark in tracked(waiting, "reading runs"):
@@ -228,7 +228,7 @@ def _read(waiting: list[tuple[str, str]], whole: bool, processes: int) -> Iterat
         return
     chunks = _batches(waiting, CHUNK)
     with pool_of(processes, ENDED) as pool:
-        running: deque[Future[list[Found]]] = deque(
+        running: deque[Future[list[FolderEntry]]] = deque(
             pool.submit(_read_chunk, chunk, whole) for chunk in islice(chunks, 4 * processes)
         )
         for _ in tracked(range(-(-len(waiting) // CHUNK)), "reading runs"):
@@ -237,7 +237,7 @@ def _read(waiting: list[tuple[str, str]], whole: bool, processes: int) -> Iterat
             yield from found
 
 
-def _read_chunk(chunk: list[tuple[str, str]], whole: bool) -> list[Found]:
+def _read_chunk(chunk: list[tuple[str, str]], whole: bool) -> list[FolderEntry]:
     return [read_folder(path, mark, whole=whole) for path, mark in chunk]
 
 
@@ -247,7 +247,7 @@ def _batches(parts: Iterable[_T], size: int) -> Iterator[list[_T]]:
         yield batch
 
 
-def _write(connection: Connection, batch: list[Found], known: dict[str, Row], done: Synced) -> None:
+def _write(connection: Connection, batch: list[FolderEntry], known: dict[str, Row], done: Synced) -> None:
     """Write what was found in a batch of folders."""
     places = _places(connection, [found.run for found in batch if found.run is not None])
     rows: dict[str, list[Row]] = {table.name: [] for table in (INSTRUMENTS, CERTIFICATES, RUNS, *OF_A_RUN)}
@@ -390,7 +390,7 @@ Place = tuple[str, int]
 
 
 @dataclass(frozen=True)
-class Seen:
+class WalkResult:
     """What a walk found: run folders with the fingerprints of their files, folders that should be runs with why
     they are none, registers, and folders that cannot be entered, with why."""
 
@@ -398,34 +398,34 @@ class Seen:
     odd: dict[str, str] = field(default_factory=dict)
     registers: list[str] = field(default_factory=list)
 
-    def take(self, other: Seen) -> None:
+    def take(self, other: WalkResult) -> None:
         """Add what another walk found."""
         self.runs.update(other.runs)
         self.odd.update(other.odd)
         self.registers.extend(other.registers)
 
 
-def scan(root: str, now_ns: int, most: int | None = None) -> tuple[Seen, list[Place]]:
+def scan(root: str, now_ns: int, most: int | None = None) -> tuple[WalkResult, list[Place]]:
     """Walk a folder, which is a run folder itself or holds them at any depth; links below it are not followed.
 
     A run folder is not entered further, nor is a hidden one. Where more than `most` folders wait the walk ends, and
     they are returned beside what was seen: `scan_all` goes on with them, in any process. Raises `OSError` where
     `root` cannot be read.
     """
-    seen = Seen()
+    seen = WalkResult()
     with os.scandir(root):
         pass
     return seen, _walk(seen, [(root, 0)], now_ns, most)
 
 
-def scan_all(places: Iterable[Place], now_ns: int) -> Seen:
+def scan_all(places: Iterable[Place], now_ns: int) -> WalkResult:
     """Walk folders with all that is below them."""
-    seen = Seen()
+    seen = WalkResult()
     _walk(seen, places, now_ns, None)
     return seen
 
 
-def _walk(seen: Seen, places: Iterable[Place], now_ns: int, most: int | None) -> list[Place]:
+def _walk(seen: WalkResult, places: Iterable[Place], now_ns: int, most: int | None) -> list[Place]:
     waiting = deque(places)
     while waiting and (most is None or len(waiting) <= most):
         path, depth = waiting.popleft()

@@ -19,7 +19,7 @@ from bench.history.comparison import Snapshot
 from bench.history.equivalence import (
     STANDARD_GRAVITY,
     BenchComparison,
-    Measured,
+    ComparedCalibrations,
     coded,
     compare_benches,
     to_standard_gravity,
@@ -139,7 +139,7 @@ MOST_COMPARED: Final = 400
 """Of more calibrations the whole covariance is too large to be worth it: a narrower question is asked for."""
 
 
-def measured_of(table: CoefficientTable) -> tuple[Measured, Mask, tuple[str, ...]]:
+def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tuple[str, ...]]:
     """Return calibrations of known units on known benches, which of the table (n,) they are, and notes.
 
     Raises `Refused` where simulated and real ones, or signals in several units, are among them, or none is left.
@@ -177,7 +177,7 @@ def measured_of(table: CoefficientTable) -> tuple[Measured, Mask, tuple[str, ...
     if simulated.all():
         notes.append("all of these were found on simulated instruments")
     kinds = [kind or "" for kind in table.unit_type[known]]
-    measured = Measured(
+    measured = ComparedCalibrations(
         unit=np.array(table.unit[known], dtype=str),
         kind=np.array(kinds, dtype=str),
         bench=np.array(table.bench[known], dtype=str),

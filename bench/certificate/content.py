@@ -143,7 +143,7 @@ class Method:
 
 
 @dataclass(frozen=True)
-class Record:
+class RunReference:
     """The run by which the results can be known again; `seal` is the text of its seal (JSON).
 
     `sealed` is when it was sealed, empty for a run that was not: `seal` then says what a seal would have said.
@@ -158,14 +158,14 @@ class Record:
 
 
 @dataclass(frozen=True)
-class Found:
+class RunFindings:
     """What a run shows of the unit. `begun` and `ended` are civil times (ISO 8601), empty where nobody knows.
 
     `result` and `verdict` are the whole evaluation, `result_json` and `readings_csv` the files that say it;
     `verdict` is None where no verification point was measured.
     """
 
-    record: Record
+    record: RunReference
     item: Item
     begun: str
     ended: str
@@ -238,12 +238,12 @@ class Certificate:
     words in the languages asked for, the first one first.
     """
 
-    found: Found
+    found: RunFindings
     texts: tuple[Texts, ...]
     laboratory: Laboratory | None = None
     order: Order | None = None
     unit: UnitOrder | None = None
-    as_found: Found | None = None
+    as_found: RunFindings | None = None
     issue: Issue | None = None
 
     @property
@@ -352,7 +352,7 @@ def stated(of: Verification) -> tuple[Statement, tuple[Statement, ...]]:
     return max((*points, *missing), key=list(Statement).index), points
 
 
-def uncertified(found: Found) -> tuple[str, ...]:
+def uncertified(found: RunFindings) -> tuple[str, ...]:
     """Return the voltmeters and the head of which no certificate counts."""
     return tuple(
         one.name

@@ -23,12 +23,12 @@ from bench.certificate.content import (
     Certificate,
     Condition,
     Contribution,
-    Found,
     Instrument,
     Issue,
     Item,
     Method,
-    Record,
+    RunFindings,
+    RunReference,
     Values,
     uncertified,
 )
@@ -47,7 +47,7 @@ from bench.services.calibration import CalibrationResult, calibration_of, verifi
 from bench.services.errors import Refused
 from bench.services.records import record_head
 from bench.services.source import Request, Source, load_sources
-from bench.services.verification import NOTHING_ASKED, Asked, VerificationResult
+from bench.services.verification import NOTHING_ASKED, VerdictOptions, VerificationResult
 
 _FIRST_LANGUAGE: Final = "en"
 
@@ -65,7 +65,7 @@ def certificate_of(
     `CalibrationError` where there is no result.
     """
     k = 2.0 if laboratory is None else laboratory.k
-    asked = NOTHING_ASKED if order is None else Asked(rule=order.rule, guard_band=order.guard_band)
+    asked = NOTHING_ASKED if order is None else VerdictOptions(rule=order.rule, guard_band=order.guard_band)
     found_of = partial(found_by, runs=runs, k=k, asked=asked, agreed=_house_rule(laboratory))
     found = found_of(run)
     unit = None if order is None else order.unit(found.item.serial)
@@ -135,8 +135,8 @@ def _missing(certificate: Certificate) -> Iterator[str]:
 
 
 def found_by(
-    name: str, runs: Path, k: float, asked: Asked = NOTHING_ASKED, agreed: DecisionRule | None = None
-) -> Found:
+    name: str, runs: Path, k: float, asked: VerdictOptions = NOTHING_ASKED, agreed: DecisionRule | None = None
+) -> RunFindings:
     """Evaluate a run with its own bench file; U of the coefficients is `k` u. Raises as `certificate_of`.
 
     The verdict is found as `asked`, by the rule `agreed` where the record states none.
@@ -156,7 +156,7 @@ def found_by(
     # what a statement means and what to do about it is for the operator, and speaks of guard bands that no rule has
     of_all = () if verdict is None else global_risk_in_words(verdict.verification)
     record, begun = _record(run), _begun(source)
-    return Found(
+    return RunFindings(
         record=record,
         item=_item(source),
         begun=begun,
@@ -206,13 +206,13 @@ def _method(source: Source, result: CalibrationResult) -> Method:
     return Method(_one_line(procedure), plan, result.calibration.estimator, result.calibration.model)
 
 
-def _record(run: Run) -> Record:
+def _record(run: Run) -> RunReference:
     seal = read_seal(run.folder)
     if seal is not None and (wrong := seal.differences(run)):
         raise Refused(f"{run.name}: {'; '.join(wrong)}; no certificate is made of it")
     stated = seal_of(run, "") if seal is None else seal
     head = record_head(run)
-    return Record(
+    return RunReference(
         run.name,
         int(head["events"]),
         str(head["head"]),

@@ -16,7 +16,7 @@ from bench.base.yaml_files import Document, load_document, validated
 from bench.certificate.content import Before, Certificate, Issue
 from bench.certificate.gather import certificate_of, issued_at, missing
 from bench.certificate.laboratory import Laboratory, Order, Person, laboratory_of, load_laboratory, load_order
-from bench.certificate.register import ISSUED, REVOKED, Entry, Register, Standing, opened
+from bench.certificate.register import ISSUED, REVOKED, Entry, NumberStatus, Register, opened
 from bench.results.certificate import IssuedRun, RegisteredCertificate, RegisterResult
 from bench.services.errors import Refused, sentence
 from bench.services.requests.documents import CheckRegister, IssueCertificates, Issuing, RevokeCertificate
@@ -166,7 +166,7 @@ def _issue(
         return _write(certificate, desk, laboratory, person, register, None)
 
 
-def _holding(register: Register, certificate: Certificate) -> Standing | None:
+def _holding(register: Register, certificate: Certificate) -> NumberStatus | None:
     """Return the certificate of the same record that holds, None where there is none."""
     head = certificate.found.record.head
     of_record = (s for s in register.standings.values() if s.entry.data["record"]["head"] == head)
@@ -200,7 +200,7 @@ def revoke(request: RevokeCertificate) -> None:
         register.revoke(Entry(REVOKED, request.number, issued_at(utc_now()), person.name, told))
 
 
-def holds(register: Register, number: str) -> Standing:
+def holds(register: Register, number: str) -> NumberStatus:
     """Return a certificate that holds. Raises `Refused` for another, and for a number that was never issued."""
     standing = issued(register, number)
     if standing.state != ISSUED:
@@ -209,7 +209,7 @@ def holds(register: Register, number: str) -> Standing:
     return standing
 
 
-def issued(register: Register, number: str) -> Standing:
+def issued(register: Register, number: str) -> NumberStatus:
     """Return what is known of a number. Raises `Refused` for one that was never issued."""
     if number not in register.standings:
         latest = ", ".join(list(register.standings)[-3:]) or "none"

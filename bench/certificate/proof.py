@@ -13,8 +13,8 @@ from bench.base.text import visible
 from bench.certificate.content import (
     Certificate,
     Condition,
-    Found,
     Instrument,
+    RunFindings,
     Value,
     Values,
     rule_said,
@@ -277,7 +277,7 @@ def _results(certificate: Certificate, write: Writer) -> list[Block]:
     return blocks
 
 
-def _result_table(found: Found, write: Writer, which: str) -> Block:
+def _result_table(found: RunFindings, write: Writer, which: str) -> Block:
     values = getattr(found, which).values
     head: list[Cell] = [write.say(key) for key in ("quantity", "value", "uncertainty", "k", "dof", "unit")]
     size, unit = (ARCSEC, "″") if which == "misalignments" else (1.0, "")
@@ -289,7 +289,7 @@ def _result_table(found: Found, write: Writer, which: str) -> Block:
     return write.table(head, rows, "lrrrrl", _RESULT_COLUMNS, whole=True)
 
 
-def _correlations(found: Found, write: Writer) -> Block:
+def _correlations(found: RunFindings, write: Writer) -> Block:
     values = found.coefficients
     head: list[Cell] = ["", *(symbol(value.name) for value in values.values)]
     return write.table(
@@ -302,7 +302,7 @@ def _correlations(found: Found, write: Writer) -> Block:
     )
 
 
-def _uncertainty(found: Found, write: Writer) -> list[Block]:
+def _uncertainty(found: RunFindings, write: Writer) -> list[Block]:
     head: list[Cell] = [write.say(key) for key in ("source", "size", "part", "origin")]
     rows: list[list[Cell]] = [
         [
@@ -345,7 +345,7 @@ def verdict(certificate: Certificate, write: Writer) -> list[Block]:
     return verdict_of(certificate.found, write)
 
 
-def verdict_of(found: Found, write: Writer) -> list[Block]:
+def verdict_of(found: RunFindings, write: Writer) -> list[Block]:
     """Return the statement of conformity on what a run found."""
     result = found.verification
     if result is None:
@@ -373,7 +373,7 @@ def verdict_of(found: Found, write: Writer) -> list[Block]:
     return [{**told, "strong": True}, write.pairs(rows)]
 
 
-def _conformity(found: Found, write: Writer) -> list[Block]:
+def _conformity(found: RunFindings, write: Writer) -> list[Block]:
     result = found.verification
     if result is None:
         return []
@@ -401,7 +401,7 @@ def _conformity(found: Found, write: Writer) -> list[Block]:
     ]
 
 
-def _readings(found: Found, write: Writer) -> list[Block]:
+def _readings(found: RunFindings, write: Writer) -> list[Block]:
     svg = _drawn(residuals_by_angle, found.result.calibration)
     return [write.heading("readings"), write.figure(svg, "figure_residuals", 150.0)]
 

@@ -50,7 +50,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Standing:
+class NumberStatus:
     """What is true of a number now: "issued", "amended", "replaced" or "revoked"; `by` what, or why."""
 
     entry: Entry
@@ -63,7 +63,7 @@ class Register:
     """A register that is open: nobody else writes to it. `folder` is where it and the issued files stand."""
 
     folder: Path
-    standings: dict[str, Standing] = field(default_factory=dict)
+    standings: dict[str, NumberStatus] = field(default_factory=dict)
     head: str = _FIRST
     length: int = 0
     count: int = 0
@@ -192,13 +192,13 @@ class Register:
         if entry.kind == ISSUED:
             if standing is not None:
                 raise Refused(f"{where}: number {entry.number} was issued twice; take it from a copy")
-            self.standings[entry.number] = Standing(entry)
+            self.standings[entry.number] = NumberStatus(entry)
             before = entry.data.get("before") or {}
             old = self.standings.get(str(before.get("number")))
             if old is not None:
-                self.standings[old.entry.number] = Standing(old.entry, str(before["kind"]), entry.number)
+                self.standings[old.entry.number] = NumberStatus(old.entry, str(before["kind"]), entry.number)
         elif entry.kind == REVOKED and standing is not None:
-            self.standings[entry.number] = Standing(
+            self.standings[entry.number] = NumberStatus(
                 standing.entry, REVOKED, str(entry.data.get("reason", ""))
             )
         else:

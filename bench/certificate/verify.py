@@ -19,8 +19,8 @@ import numpy as np
 from bench.base.files import read_given, read_regular
 from bench.calibration import CalibrationError
 from bench.calibration.conformity import SIMPLE, DecisionRule
-from bench.certificate.content import Found
-from bench.certificate.dcc.results import Shown, shown_of
+from bench.certificate.content import RunFindings
+from bench.certificate.dcc.results import ShownValues, shown_of
 from bench.certificate.gather import found_by
 from bench.certificate.page import DCC, RELATIONS, faults_of
 from bench.certificate.register import LINES, Register
@@ -40,7 +40,7 @@ from bench.run.events import MANIFEST, RecordError, sha256
 from bench.run.folder import find_run
 from bench.run.seal import Seal
 from bench.services.errors import Refused
-from bench.services.verification import NOTHING_ASKED, Asked
+from bench.services.verification import NOTHING_ASKED, VerdictOptions
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
@@ -83,7 +83,7 @@ class Verdict:
     fingerprint: str = ""
     signed_at: str = ""
     why_not_trusted: str | None = None
-    shown: Shown | None = None
+    shown: ShownValues | None = None
     unsigned: bool = False
     issued: bool = True
     standing: RegisterSays | None = None
@@ -270,7 +270,7 @@ def _agree_on_signer(paper: SignedPdf, digital: SignedXml) -> None:
         raise NotIntact("the XML in it says to have been signed after the PDF")
 
 
-def _agree(verdict: Verdict, shown: Shown, attached: dict[str, bytes], title: str) -> None:
+def _agree(verdict: Verdict, shown: ShownValues, attached: dict[str, bytes], title: str) -> None:
     """Raise `NotIntact` unless paper and digital certificate have number and files in common."""
     if not shown.number or not title.endswith(f" {shown.number}"):
         raise NotIntact(f"the PDF is of '{title}', its XML of certificate {shown.number}")
@@ -328,7 +328,7 @@ def _name_signer(
 # --- numbers, register and record -----------------------------------------------------------------------
 
 
-def _agree_on_numbers(shown: Shown) -> None:
+def _agree_on_numbers(shown: ShownValues) -> None:
     """Raise `NotIntact` unless the coefficients as a list are those of the result that the XML holds."""
     if not shown.coefficients or "result.json" not in shown.files:
         raise NotIntact("the digital certificate has no coefficients, or not the result that they are of")
@@ -349,7 +349,7 @@ def _agree_on_numbers(shown: Shown) -> None:
 
 
 def _against_register(
-    verdict: Verdict, shown: Shown, file: Path, content: bytes, register: Path | None
+    verdict: Verdict, shown: ShownValues, file: Path, content: bytes, register: Path | None
 ) -> None:
     form = "xml" if content.lstrip()[:1] == b"<" else "pdf"
     verdict.standing, held = held_against_register(shown.number, form, content, file, register)
@@ -357,7 +357,7 @@ def _against_register(
     verdict.agreed += filter(None, [held.told])
 
 
-def _against_record(verdict: Verdict, shown: Shown, runs: Path) -> None:
+def _against_record(verdict: Verdict, shown: ShownValues, runs: Path) -> None:
     held = held_against_record(shown, runs)
     if held is None:
         verdict.not_proved.append(RECORD_NOT_HERE)
@@ -382,7 +382,7 @@ class Held:
     open: str = ""
 
 
-def held_against_record(shown: Shown, runs: Path) -> Held | None:
+def held_against_record(shown: ShownValues, runs: Path) -> Held | None:
     """Hold a certificate against its run among `runs`; None where that is not there, or is another of its name.
 
     The record is that of the certificate where it begins with the same inputs (`run.json`): then its chain must end
@@ -423,7 +423,7 @@ def held_against_record(shown: Shown, runs: Path) -> Held | None:
     return Held(wrong=f"{folder}: the record gives another result than the certificate")
 
 
-def _asked(shown: Shown) -> Asked:
+def _asked(shown: ShownValues) -> VerdictOptions:
     """Return the decision rule that the certificate states: it may have been agreed for it alone."""
     try:
         told = json.loads(shown.files["result.json"])["verification"]
@@ -432,14 +432,14 @@ def _asked(shown: Shown) -> Asked:
         return NOTHING_ASKED  # its result is no result, which shows in what follows
     if rule.guard_band is None:
         return NOTHING_ASKED
-    return Asked(rule=rule.name, guard_band=None if rule.name == SIMPLE else rule.guard_band)
+    return VerdictOptions(rule=rule.name, guard_band=None if rule.name == SIMPLE else rule.guard_band)
 
 
 _SAME: Final = 1e-6
 """Results that differ by no more, in units of u, are the same ones rounded otherwise."""
 
 
-def _as_good_as(found: Found, shown: Shown) -> bool:
+def _as_good_as(found: RunFindings, shown: ShownValues) -> bool:
     """Whether coefficients, covariance and verdict of a record are those of a certificate but for rounding."""
     own = found.coefficients
     u = np.array([one.u for one in own.values])

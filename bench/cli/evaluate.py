@@ -70,11 +70,11 @@ def verify(requests: list[Verify], json: JsonOption = None, out: OutOption = Non
     """Δg at the verification points against the limit; exit status 1 unless all are accepted."""
     from bench.services.calibration import verified
     from bench.services.source import done, each, load_each, reading
-    from bench.services.verification import Asked
+    from bench.services.verification import VerdictOptions
 
     printing.check_target(json)
     asked = requests[0]
-    Asked.of(asked)
+    VerdictOptions.of(asked)
     loaded = load_each(reading(asked, *(one.source for one in requests), out=out))
     printing.bench_files(done(loaded), json)
     everyone = each(loaded, lambda source: verified(asked, source))
@@ -101,10 +101,10 @@ def report(request: Report, json: JsonOption = None, out: OutOption = None) -> i
     from bench.results.verification import ReportResult
     from bench.services.calibration import calibration_of
     from bench.services.source import load_sources, reading
-    from bench.services.verification import Asked
+    from bench.services.verification import VerdictOptions
 
     printing.check_target(json)
-    asked = Asked.of(request)
+    asked = VerdictOptions.of(request)
     (loaded,) = load_sources(reading(request, request.source, out=out))
     on = printing.console(json=json)
     printing.bench_files([loaded], json)

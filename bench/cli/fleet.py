@@ -14,7 +14,7 @@ from bench.services.requests.history import Capability, CompareBenches, DriftOfU
 
 if TYPE_CHECKING:
     from bench.catalogue.values import CoefficientTable
-    from bench.history.equivalence import Measured
+    from bench.history.equivalence import ComparedCalibrations
 
 GROUP: Final = typer.Typer(
     name="fleet",
@@ -137,7 +137,7 @@ def _table(request: OfFleet) -> CoefficientTable:
         return coefficient_table(opened, request.query or [])
 
 
-def _measured(request: OfFleet) -> tuple[Measured, tuple[str, ...]]:
+def _measured(request: OfFleet) -> tuple[ComparedCalibrations, tuple[str, ...]]:
     from bench.catalogue.values import measured_of
 
     measured, _, notes = measured_of(_table(request))

@@ -113,7 +113,7 @@ def _commission(request: InstrumentsRequest, target: str | None) -> int:
     from bench.run.commission.session import WISHES
     from bench.run.terminal import TerminalPerson
     from bench.services.bench_selection import bench_path
-    from bench.services.instruments import PAGE, Setting, commission, free_folder
+    from bench.services.instruments import PAGE, CommissioningPlan, commission, free_folder
     from drivers.clock import utc_now
 
     if not request.dry_run and not sys.stdin.isatty():
@@ -132,7 +132,7 @@ def _commission(request: InstrumentsRequest, target: str | None) -> int:
     )
     person = None if request.dry_run else TerminalPerson(sys.stdin, console, wishes=WISHES)
     result = commission(
-        Setting(file, path, folder, person, request.seed, lambda line: console.print(visible(line)))
+        CommissioningPlan(file, path, folder, person, request.seed, lambda line: console.print(visible(line)))
     )
     printing.write_json([result], target)
     for name, what in result["to_do"].items():

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from bench.services.bench_selection import BenchTaken
     from bench.services.calibration import CalibrationResult
     from bench.services.source import Source
-    from bench.services.verification import Asked, VerificationResult
+    from bench.services.verification import VerdictOptions, VerificationResult
 
 
 def console(*, json: str | None = None) -> Console:
@@ -179,7 +179,7 @@ def verification(result: VerificationResult, file: Path | None, out: Console | N
 
 
 def report(
-    result: CalibrationResult, out: Console, asked: Asked | None = None
+    result: CalibrationResult, out: Console, asked: VerdictOptions | None = None
 ) -> tuple[VerificationResult | None, Path]:
     """Write the page of a calibration; return the verification that is in it, and the file. Raises `OSError`."""
     from bench.base.files import write_whole

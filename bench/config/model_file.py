@@ -57,7 +57,7 @@ class EffectEntry(FileModel):
         return AppliedEffect(effect, values, self.channels, u, self.installations)
 
 
-class LeftOpen(FileModel):
+class OpenShape(FileModel):
     """One way in which the shape of the effect `of` is open: `part` times the sum of `effects`, u of it beside.
 
     The readings that it was found in make all such sizes independent of each other.
@@ -111,7 +111,7 @@ class ModelFile(WithEffects):
     dark_uncertainty: str | None = None
     formulas: tuple[FormulaEntry, ...] = ()
     effects: tuple[EffectEntry, ...] = ()
-    left_open: tuple[LeftOpen, ...] = ()
+    left_open: tuple[OpenShape, ...] = ()
 
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
         """Return the effects with their values in SI, with what is open of them."""
@@ -395,7 +395,7 @@ WIDENED: Final = ("tau", "lag")
 
 
 @dataclass(frozen=True)
-class Accepted:
+class AcceptedTerms:
     """The effect with its name, and the effects of the model with it in place of the terms."""
 
     effect: FormulaEffect
@@ -407,7 +407,7 @@ def unnamed_in(effects: Sequence[AppliedEffect]) -> list[str]:
     return [applied.effect.name for applied in effects if applied.effect.name.startswith(UNNAMED)]
 
 
-def accept(effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, sentence: str) -> Accepted:
+def accept(effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, sentence: str) -> AcceptedTerms:
     """Give terms a name and a sentence, as one effect. Raises `ValueError` with what speaks against it."""
     known = unnamed_in(effects)
     if not known:
@@ -428,7 +428,7 @@ def accept(effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, se
     kept = [a for a in effects if not any(a is one for one in chosen)]
     before = sum(1 for a in effects[:first] if not any(a is one for one in chosen))
     assert isinstance(whole.effect, FormulaEffect)  # noqa: S101 - made so
-    return Accepted(whole.effect, (*kept[:before], whole, *kept[before:]))
+    return AcceptedTerms(whole.effect, (*kept[:before], whole, *kept[before:]))
 
 
 def _joined(

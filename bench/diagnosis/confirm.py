@@ -168,11 +168,11 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis) -> tuple[EffectNow, ...]:
     own = linear.random[:, places] * (plausible / [unknown.prior_u for unknown in unknowns])
     free = replace(linear, random=np.delete(linear.random, places, axis=1))
     estimated = _estimated(free, own, found, diagnosis)
-    return judged(model, unknowns, Estimated(plausible, found, u, *estimated))
+    return judged(model, unknowns, EstimatedEffects(plausible, found, u, *estimated))
 
 
 @dataclass(frozen=True)
-class Estimated:
+class EstimatedEffects:
     """Parameters of effects (m,) in plausible sizes: those of the model with u, and `change` to these readings'."""
 
     plausible: Floats
@@ -182,7 +182,9 @@ class Estimated:
     covariance: Floats
 
 
-def judged(model: ForwardModel, unknowns: Sequence[EffectUnknown], of: Estimated) -> tuple[EffectNow, ...]:
+def judged(
+    model: ForwardModel, unknowns: Sequence[EffectUnknown], of: EstimatedEffects
+) -> tuple[EffectNow, ...]:
     """Return what became of each effect of a model. Raises `CalibrationError` where none shows."""
     plausible, found, u, change, covariance = of.plausible, of.found, of.u, of.change, of.covariance
     known = np.sqrt(np.diag(covariance))

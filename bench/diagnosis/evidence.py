@@ -27,7 +27,7 @@ from bench.base.arrays import Floats, Ints
 from bench.base.computing import tracked
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.linear import LinearSystem
-from bench.diagnosis.noise_grid import RATIOS, NoiseGrid, OfColumns, OfGram, Products
+from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, GramProducts, NoiseGrid, Products
 from bench.model import CATALOGUE
 from bench.model.effects import FormulaEffect
 
@@ -88,12 +88,12 @@ class Whitened:
             whitened = np.empty((len(grid.white), rows, many))
             for ratio, white in enumerate(grid.white):
                 whitened[ratio] = white @ scaled
-            return cls(grid, candidates, OfColumns(whitened))
+            return cls(grid, candidates, ColumnProducts(whitened))
         gram = np.empty((len(grid.white), many, many))
         for ratio, white in enumerate(grid.white):
             columns = white @ scaled
             gram[ratio] = columns.T @ columns
-        return cls(grid, candidates, OfGram(gram))
+        return cls(grid, candidates, GramProducts(gram))
 
     @property
     def ratios(self) -> int:

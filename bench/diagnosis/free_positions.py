@@ -14,7 +14,7 @@ from bench.base.arrays import rms as root_mean_square
 from bench.calibration.design import FIXED, UPPER
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import ZERO_BY_RUN, Candidates
-from bench.diagnosis.confirm import STILL_SEEN, Confirmation, Estimated, Model, judged, square
+from bench.diagnosis.confirm import STILL_SEEN, Confirmation, EstimatedEffects, Model, judged, square
 from bench.diagnosis.evidence import KNOWN_SIZE, Data, Search, Threshold, Whitened, fit_tail, total_evidence
 from bench.diagnosis.free_records import (
     OWN,
@@ -37,7 +37,7 @@ from bench.diagnosis.free_search import (
     without_outliers,
 )
 from bench.diagnosis.gap import Fold, Gap, HeldOut
-from bench.diagnosis.naming import Found, Naming, name
+from bench.diagnosis.naming import FoundEffect, Naming, name
 from bench.diagnosis.posterior import NoiseSize, applied_of
 from bench.diagnosis.result import UNNAMED_WORDS, EffectValue
 from bench.model.effects import CATALOGUE, AppliedEffect
@@ -208,7 +208,7 @@ class _Teller:
     limit: Threshold
     between: BetweenRecords | None
 
-    def found(self, one: Found) -> FreeFound:
+    def found(self, one: FoundEffect) -> FreeFound:
         variant, candidates = one.variant, self.whitened.candidates
         applied: tuple[AppliedEffect, ...] = ()
         if variant.named:
@@ -229,7 +229,7 @@ class _Teller:
             applied=applied,
         )
 
-    def _sizes(self, one: Found) -> tuple[Floats, Floats]:
+    def _sizes(self, one: FoundEffect) -> tuple[Floats, Floats]:
         """Return the values of its columns, in plausible sizes, and their u."""
         columns = list(self.naming.columns)
         gram = self.whitened.among(0, columns) + np.eye(len(columns)) / KNOWN_SIZE**2
@@ -239,7 +239,7 @@ class _Teller:
         u = np.sqrt(np.diag(covariance))[place] * self.noise.reading / self.whitened.grid.sigma
         return (covariance @ along)[place], u
 
-    def _words(self, one: Found) -> str:
+    def _words(self, one: FoundEffect) -> str:
         family = one.variant.family
         if one.variant.named:
             words = CATALOGUE[family].sentence
@@ -322,7 +322,7 @@ def confirm_free(tables: Sequence[Readings], model: ForwardModel) -> Confirmatio
         before=before,
         after=after,
         p_after=float(special.fdtrc(freedom, diagnosis.freedom, chi2 / freedom)),
-        effects=judged(model, unknowns, Estimated(plausible, found, u, change, covariance)),
+        effects=judged(model, unknowns, EstimatedEffects(plausible, found, u, change, covariance)),
         diagnosis=diagnosis,
     )
 

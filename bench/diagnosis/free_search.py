@@ -241,7 +241,7 @@ def scatter(rows: FreeRows) -> float:
 
 
 @dataclass(frozen=True)
-class Apart:
+class OutlyingPositions:
     """The positions that stay; a sentence for each that is left out (`origin`, (k, 2)), and for each in doubt."""
 
     rows: FreeRows
@@ -250,7 +250,7 @@ class Apart:
     doubtful: tuple[str, ...]
 
 
-def without_outliers(rows: FreeRows) -> Apart:
+def without_outliers(rows: FreeRows) -> OutlyingPositions:
     """Leave out positions that stand apart from all others, the worst first."""
     apart: list[str] = []
     origin: list[Ints] = []
@@ -268,7 +268,9 @@ def without_outliers(rows: FreeRows) -> Apart:
             doubtful.append(f"{worst.words}: {why}, so that it stays in")
         rows = rows.without(np.arange(len(rows)) == worst.row)
         kept = kept if doubtful else rows
-    return Apart(kept, tuple(apart), np.array(origin, dtype=np.int64).reshape(-1, 2), tuple(doubtful))
+    return OutlyingPositions(
+        kept, tuple(apart), np.array(origin, dtype=np.int64).reshape(-1, 2), tuple(doubtful)
+    )
 
 
 @dataclass(frozen=True)

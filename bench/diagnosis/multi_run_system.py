@@ -34,7 +34,7 @@ from bench.diagnosis.candidates import (
 from bench.diagnosis.evidence import Data, Threshold, ThresholdCache, Whitened
 from bench.diagnosis.linear import LinearSystem, Rows, make_linear
 from bench.diagnosis.mistakes.search import MistakeSearch, find_mistakes
-from bench.diagnosis.naming import Found, Naming, Scored, name
+from bench.diagnosis.naming import FoundEffect, Naming, Scored, name
 from bench.diagnosis.noise_grid import (
     NoiseGrid,
     grid_with_rounding,
@@ -494,7 +494,7 @@ def _name_in_all_and_each(
     return whitened, naming
 
 
-def _stays(whitened: Whitened, data: Data, naming: Naming, one: Found) -> bool:
+def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> bool:
     """Whether what a run has alone is still there beside all that was found, or gave its place to another form."""
     if one.variant not in [found.variant for found in naming.found]:
         return True
@@ -512,14 +512,14 @@ def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming
 
 def _look_in_each(
     candidates: Candidates, runs: Sequence[_Run], in_all: Floats, limit: Threshold
-) -> tuple[Candidates, tuple[Found, ...]]:
+) -> tuple[Candidates, tuple[FoundEffect, ...]]:
     """Look in each run for what it has alone, beside what all have in their rows (N,).
 
     Return the candidates with the columns of what was found added, and what was found. One threshold, that of the
     first run, serves for all, at a part of the probability for each. Coefficients are free in every run: what one
     has of another zero or scale factor is no find here.
     """
-    found: list[Found] = []
+    found: list[FoundEffect] = []
     for run in runs:
         whitened = run.whitened()
         response = run.linear.response - in_all[run.rows]
@@ -544,7 +544,7 @@ def _runs(linear: LinearSystem, each: _EachRun) -> Iterator[_Run]:
         yield _Run(rows, alone, make_candidates(alone, sigma, absent=each.absent), grid)
 
 
-def _embedded(candidates: Candidates, one: Found, run: _Run) -> tuple[Candidates, Found]:
+def _embedded(candidates: Candidates, one: FoundEffect, run: _Run) -> tuple[Candidates, FoundEffect]:
     """Return the candidates with the columns of what a run has alone, zero in all others, and the find in them."""
     labels, own = _labels_of_runs(run.linear.readings), run.candidates
     chosen = list(one.variant.columns)

@@ -43,7 +43,7 @@ LESS_PLAUSIBLE: Final = 4.0
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundEffect:
     """An effect, or an unnamed family, that was found: `evidence` is ln odds against not being there.
 
     `ties` are other effects (or unnamed families) that explain it as well, the more plausible first; `same` those
@@ -66,7 +66,7 @@ class Found:
 class Naming:
     """What was found, in order; `left` is the total evidence that still something is missing."""
 
-    found: tuple[Found, ...]
+    found: tuple[FoundEffect, ...]
     left: float
 
     @property
@@ -74,7 +74,7 @@ class Naming:
         """Columns of all that was found."""
         return tuple(i for f in self.found for i in f.variant.columns)
 
-    def parts(self) -> Iterator[tuple[Found, slice]]:
+    def parts(self) -> Iterator[tuple[FoundEffect, slice]]:
         """Yield each thing found with the place of its own among `columns`."""
         start = 0
         for found in self.found:
@@ -130,11 +130,11 @@ class Scored:
             int(np.argmax(scores.ratio[:, 0])),
         )
 
-    def best(self) -> Found:
+    def best(self) -> FoundEffect:
         """Return the best family in its best form."""
         return self.found(max(self.evidence, key=lambda family: self.evidence[family]))
 
-    def foremost(self, threshold: Threshold) -> Found | None:
+    def foremost(self, threshold: Threshold) -> FoundEffect | None:
         """Return what is missing before all else; None where nothing is missing.
 
         Where a slip alone is more than chance, and all together are not, it is the slip.
@@ -143,11 +143,11 @@ class Scored:
             return self.best()
         return self.found(SLIP) if threshold.by_slip(self.of_slip) else None
 
-    def found(self, family: str) -> Found:
+    def found(self, family: str) -> FoundEffect:
         """Return a family in its best form."""
         variant = self._best_variant(family)
         size = math.sqrt(self.explained(variant))
-        return Found(variant, self.evidence[family], self.total, size, of_slip=self.of_slip)
+        return FoundEffect(variant, self.evidence[family], self.total, size, of_slip=self.of_slip)
 
     def likeliest(self, family: str) -> Variant:
         """Return the form of a family that has the most evidence."""
@@ -201,7 +201,7 @@ def name(
     data: Data,
     threshold: Threshold,
     most: int = MOST_EFFECTS,
-    begun: Sequence[Found] = (),
+    begun: Sequence[FoundEffect] = (),
 ) -> Naming:
     """Find what is missing in one data set, `most` effects at most beside those that were `begun` with."""
     found = list(begun)
@@ -220,17 +220,17 @@ def name(
     return Naming(found_tied, scored.total)
 
 
-def _pair_kept(scored: Scored, data: Data, unnamed: Found) -> list[Found] | None:
+def _pair_kept(scored: Scored, data: Data, unnamed: FoundEffect) -> list[FoundEffect] | None:
     """Return `_named_pair`, kept for who searches in the same data again."""
     whitened = scored.search.whitened
     _kept(whitened, data)
-    pairs: dict[tuple[int, ...], list[Found] | None] = whitened.kept["pairs"]
+    pairs: dict[tuple[int, ...], list[FoundEffect] | None] = whitened.kept["pairs"]
     if scored.search.known not in pairs:
         pairs[scored.search.known] = _named_pair(scored, data, unnamed)
     return pairs[scored.search.known]
 
 
-def _named_pair(scored: Scored, data: Data, unnamed: Found) -> list[Found] | None:
+def _named_pair(scored: Scored, data: Data, unnamed: FoundEffect) -> list[FoundEffect] | None:
     """Return two effects of the catalogue that together explain what only an unnamed family does alone.
 
     Something free explains two effects of one channel at once, and would hide both. Which pair is the best the
@@ -254,11 +254,13 @@ def _named_pair(scored: Scored, data: Data, unnamed: Found) -> list[Found] | Non
     return [first, second] if second.variant.named and enough else None
 
 
-def _columns(found: list[Found], but: int | None = None) -> list[int]:
+def _columns(found: list[FoundEffect], but: int | None = None) -> list[int]:
     return [column for i, f in enumerate(found) if i != but for column in f.variant.columns]
 
 
-def _re_examine(whitened: Whitened, data: Data, found: list[Found], threshold: Threshold) -> list[Found]:
+def _re_examine(
+    whitened: Whitened, data: Data, found: list[FoundEffect], threshold: Threshold
+) -> list[FoundEffect]:
     """Look at each earlier find again beside all others; it may have stood in for something else."""
     for _ in range(2):
         changed = False
@@ -272,7 +274,7 @@ def _re_examine(whitened: Whitened, data: Data, found: list[Found], threshold: T
     return found
 
 
-def held(whitened: Whitened, data: Data, found: list[Found], threshold: Threshold) -> list[Found]:
+def held(whitened: Whitened, data: Data, found: list[FoundEffect], threshold: Threshold) -> list[FoundEffect]:
     """Leave out, the weakest first, what is no longer needed beside the others: without it nothing is missing."""
     while len(found) > 1:
         without = [Scored.beside(whitened, data, _columns(found, but=i)) for i in range(len(found))]
@@ -283,7 +285,7 @@ def held(whitened: Whitened, data: Data, found: list[Found], threshold: Threshol
     return found
 
 
-def tied(scored: Scored, one: Found) -> Found:
+def tied(scored: Scored, one: FoundEffect) -> FoundEffect:
     """Find which other effects would explain what `one` explains; `scored` is beside all others that were found."""
     evidence = scored.evidence
     amplitude, gram = scored.amplitude(one.variant)

@@ -268,7 +268,7 @@ class Products(Protocol):
 
 
 @dataclass(frozen=True)
-class OfColumns:
+class ColumnProducts:
     """From the columns `white` (ratios, N, P), which are fewer numbers where there are fewer rows than columns."""
 
     white: Floats
@@ -292,13 +292,13 @@ class OfColumns:
     def _square(self) -> Floats:
         return np.asarray(np.einsum("gnp,gnp->gp", self.white, self.white))
 
-    def at(self, ratio: int) -> OfColumns:
+    def at(self, ratio: int) -> ColumnProducts:
         """Return those of one ratio alone."""
-        return OfColumns(self.white[ratio : ratio + 1])
+        return ColumnProducts(self.white[ratio : ratio + 1])
 
 
 @dataclass(frozen=True)
-class OfGram:
+class GramProducts:
     """From the Gram matrix (ratios, P, P), which is fewer numbers where there are more rows than columns."""
 
     gram: Floats
@@ -315,9 +315,9 @@ class OfGram:
         """Return those of columns (…, p) with each other, shape (ratios, …, p, p)."""
         return np.asarray(self.gram[:, columns[..., :, None], columns[..., None, :]])
 
-    def at(self, ratio: int) -> OfGram:
+    def at(self, ratio: int) -> GramProducts:
         """Return those of one ratio alone."""
-        return OfGram(self.gram[ratio : ratio + 1])
+        return GramProducts(self.gram[ratio : ratio + 1])
 
 
 # --- the noise, from repeats ----------------------------------------------------------------------
@@ -353,7 +353,7 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
 
 
 @dataclass(frozen=True)
-class Parts:
+class IndependentParts:
     """Squares (m,) of independent parts of what repeats leave, and the setting error's share `along` (m,) in each.
 
     In units of the rows' noise beside each other; `freedom` in settings.
@@ -373,7 +373,7 @@ class Likeliest:
     scaled: Floats
 
 
-def parts_of_repeats(linear: LinearSystem, chosen: Mask | None = None) -> Parts:
+def parts_of_repeats(linear: LinearSystem, chosen: Mask | None = None) -> IndependentParts:
     """Return what repeats of settings leave, of all readings or of those `chosen` (n,): whole mountings."""
     oriented = linear.setting >= 0
     readings = linear.readings
@@ -392,7 +392,7 @@ def parts_of_repeats(linear: LinearSystem, chosen: Mask | None = None) -> Parts:
         squares.append(part[0])
         along.append(part[1])
         freedom += free.shape[1]
-    return Parts(np.concatenate(squares), np.concatenate(along), freedom)
+    return IndependentParts(np.concatenate(squares), np.concatenate(along), freedom)
 
 
 def _of_mount(free: Floats, left: Floats, slope: Floats) -> tuple[Floats, Floats]:
@@ -408,7 +408,7 @@ def _of_mount(free: Floats, left: Floats, slope: Floats) -> tuple[Floats, Floats
     return parts**2, along
 
 
-def likeliest(parts: Parts) -> Likeliest:
+def likeliest(parts: IndependentParts) -> Likeliest:
     """Return the noise of which, with a setting error, these parts are the likeliest."""
     squares, along = parts.squares, parts.along
     ratio = RATIOS2 / max(float(along.max()), 1e-300)

@@ -17,7 +17,7 @@ from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.evidence import KNOWN_SIZE, Data, Search, Whitened, total_evidence
 from bench.diagnosis.linear import LinearSystem, RunSizes
 from bench.diagnosis.mistakes.single_readings import BEYOND_TAILS, LEAST_VALUES, odds_of_tails
-from bench.diagnosis.naming import Found, Naming
+from bench.diagnosis.naming import FoundEffect, Naming
 from bench.diagnosis.noise_grid import Whitener, cells_of, is_coarse, make_whitener
 from bench.diagnosis.posterior import NoiseSize, noise_size, posterior, whiten_rows
 from bench.readings.table import Readings
@@ -66,14 +66,14 @@ def weigh_down(
     return _weighed(linear, candidates, [f for f in naming.found if f not in few or f in named], noise)
 
 
-def _in_few(candidates: Candidates, found: Found) -> bool:
+def _in_few(candidates: Candidates, found: FoundEffect) -> bool:
     """Whether what was found shows in fewer rows than tell of tails."""
     rows = np.any(candidates.columns[:, list(found.variant.columns)] != 0.0, axis=1)
     return bool(np.count_nonzero(rows) < LEAST_VALUES)
 
 
 def _weighed(
-    linear: LinearSystem, candidates: Candidates, beside: Sequence[Found], noise: NoiseSize
+    linear: LinearSystem, candidates: Candidates, beside: Sequence[FoundEffect], noise: NoiseSize
 ) -> WeighedDown | None:
     columns = [i for found in beside for i in found.variant.columns]
     fit = _Fit.of(linear, candidates.columns[:, columns], noise)
@@ -254,7 +254,7 @@ def _found(linear: LinearSystem, whitened: Whitened, ratio: int) -> Iterator[Slo
 
 
 @dataclass(frozen=True)
-class Beside:
+class SlowNoiseOdds:
     """What slow noise of all channels, of whatever size, leaves of the odds that anything is missing.
 
     `total` is their ln, over all sizes and none; `slow` is the noise of the likeliest size.
@@ -266,7 +266,7 @@ class Beside:
 
 def beside_all_sizes(
     linear: LinearSystem, whitened: Whitened, noise: float, plausible: float
-) -> Beside | None:
+) -> SlowNoiseOdds | None:
     """Return the odds that anything is missing where slow noise may be there.
 
     `noise` is that of a reading, unit of the signal, `plausible` what the odds of slow noise are beforehand, of all
@@ -287,7 +287,7 @@ def beside_all_sizes(
         SlowNoise(channel, size * noise * float(linear.by_channel[channel]), odds, size * columns, sure=False)
         for channel, columns in zip(own, units, strict=True)
     )
-    return Beside(total, tuple(slow))
+    return SlowNoiseOdds(total, tuple(slow))
 
 
 def _with_courses(whitened: Whitened, courses: Floats) -> tuple[Whitened, list[tuple[int, ...]]]:

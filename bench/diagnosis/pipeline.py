@@ -42,7 +42,7 @@ from bench.diagnosis.posterior import (
     posterior,
     with_other_shapes,
 )
-from bench.diagnosis.residual_model import UNNAMED_FORM, FreeForm, Setting, describe, unnamed_in_place
+from bench.diagnosis.residual_model import UNNAMED_FORM, FreeForm, SearchSettings, describe, unnamed_in_place
 from bench.diagnosis.result import (
     UNNAMED_WORDS,
     Diagnosis,
@@ -53,7 +53,7 @@ from bench.diagnosis.result import (
     at_reference,
     register,
 )
-from bench.diagnosis.show import Shown, contradicted, show
+from bench.diagnosis.show import ModelComparison, contradicted, show
 from bench.diagnosis.single_run_search import Prepared, search_run
 from bench.diagnosis.visibility import detectable, hidden, smallest
 from bench.diagnosis.where import find_places, looking_like, order_of
@@ -224,7 +224,7 @@ def _unnamed(
         if f.variant.named and i not in instead
         for column in f.variant.columns
     ]
-    about = Setting(prepared.repeats.sigma, setting_rad, near_ratios(linear, noise), prepared.limit)
+    about = SearchSettings(prepared.repeats.sigma, setting_rad, near_ratios(linear, noise), prepared.limit)
     form = describe(linear, prepared.candidates.columns[:, given], prepared.repeats, about)
     return effects, replace(form, instead_of=tuple(effects[i].name for i in instead))
 
@@ -409,10 +409,10 @@ class FullDiagnosis:
     simulated: bool
     skipped_rows: tuple[str, ...]
     diagnosis: Diagnosis
-    shown: Shown
+    shown: ModelComparison
     ranking: tuple[tuple[Rival, ...], ...]
     next_measurement: Proposal | None
-    blocks: tuple[Shown, ...] = ()
+    blocks: tuple[ModelComparison, ...] = ()
 
     def rivals_of(self, effect: int) -> tuple[Rival, ...]:
         """Return the ranking of the effect of this number; nothing where it was not ranked."""
@@ -486,7 +486,7 @@ def diagnose_fully(
 
 def _shown(
     diagnosis: Diagnosis, model: ForwardModel, stand_u: Mapping[str, float], g_m_s2: float
-) -> Iterator[Shown]:
+) -> Iterator[ModelComparison]:
     """Yield simulation beside bench for each block, with what was found that is of it."""
     readings = diagnosis.mistakes.corrected
     if readings.block is None:

@@ -471,7 +471,7 @@ def with_other_shapes(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -
     return replace(linear, random=np.column_stack([linear.random, *columns]))
 
 
-class Piece(NamedTuple):
+class OpenSize(NamedTuple):
     """One size that is open: its effect, its parameter and channel (None: of all), the rows (N,) of one prior u."""
 
     applied: AppliedEffect
@@ -480,7 +480,7 @@ class Piece(NamedTuple):
     column: Floats
 
 
-def pieces(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> Iterator[Piece]:
+def pieces(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> Iterator[OpenSize]:
     """Yield the sizes that show in these readings."""
     for applied in others:
         shape = tuple(
@@ -492,7 +492,7 @@ def pieces(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> Iterator[
             for channel, column in of.items():
                 size = float(u[() if channel is None else channel]) / parameter.plausible
                 if size > 0.0 and np.any(column):
-                    yield Piece(applied, name, channel, column * size)
+                    yield OpenSize(applied, name, channel, column * size)
 
 
 SHOWS: Final = 0.3
@@ -555,7 +555,7 @@ def _directions(covariance: Floats, shown: Floats) -> Floats:
     return np.asarray((root @ turned.T)[:, sizes > SHOWS])
 
 
-def _applied(rest: Sequence[Piece], sizes: Floats) -> Iterator[AppliedEffect]:
+def _applied(rest: Sequence[OpenSize], sizes: Floats) -> Iterator[AppliedEffect]:
     """Yield the other shapes with these sizes, in prior standard deviations of each."""
     by_effect: dict[int, tuple[AppliedEffect, dict[str, Floats]]] = {}
     for piece, size in zip(rest, sizes, strict=True):

@@ -27,7 +27,7 @@ LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
 
 
 @dataclass(frozen=True)
-class Unit:
+class TermUnit:
     """What the size of a term is stated in, and how much of it is plausible, SI."""
 
     text: str
@@ -35,22 +35,22 @@ class Unit:
     plausible: float
 
 
-BIAS: Final = Unit("ug", 1e-6, 30e-6)
-BIAS_PER_K: Final = Unit("ug/K", 1e-6, 60e-6)
-SCALE: Final = Unit("ppm", 1e-6, 50e-6)
-SCALE_PER_K: Final = Unit("ppm/K", 1e-6, 100e-6)
-SQUARE: Final = Unit("ug", 1e-6, 20e-6)
-ANGLE: Final = Unit("arcsec", ARCSEC, 10 * ARCSEC)
-ANGLE_PER_K: Final = Unit("arcsec/K", ARCSEC, 10 * ARCSEC)
-VOLTS: Final = Unit("uV", 1e-6, 20e-6)
-VOLTS_PER_K: Final = Unit("uV/K", 1e-6, 20e-6)
-VOLTS_PER_V2: Final = Unit("uV/V^2", 1e-6, 3e-6)
-VOLTS_PER_V3: Final = Unit("uV/V^3", 1e-6, 1.3e-6)
-GAIN: Final = Unit("ppm", 1e-6, 25e-6)
+BIAS: Final = TermUnit("ug", 1e-6, 30e-6)
+BIAS_PER_K: Final = TermUnit("ug/K", 1e-6, 60e-6)
+SCALE: Final = TermUnit("ppm", 1e-6, 50e-6)
+SCALE_PER_K: Final = TermUnit("ppm/K", 1e-6, 100e-6)
+SQUARE: Final = TermUnit("ug", 1e-6, 20e-6)
+ANGLE: Final = TermUnit("arcsec", ARCSEC, 10 * ARCSEC)
+ANGLE_PER_K: Final = TermUnit("arcsec/K", ARCSEC, 10 * ARCSEC)
+VOLTS: Final = TermUnit("uV", 1e-6, 20e-6)
+VOLTS_PER_K: Final = TermUnit("uV/K", 1e-6, 20e-6)
+VOLTS_PER_V2: Final = TermUnit("uV/V^2", 1e-6, 3e-6)
+VOLTS_PER_V3: Final = TermUnit("uV/V^3", 1e-6, 1.3e-6)
+GAIN: Final = TermUnit("ppm", 1e-6, 25e-6)
 
 
 @dataclass(frozen=True)
-class Course:
+class TimeCourse:
     """A course over a run: plain numbers of order 1, one `expression` for each size that it needs.
 
     `constants` are shapes with one value; `of_temperature` where it is in kelvin; `long` where it may be of the
@@ -68,7 +68,7 @@ class Course:
 
 
 @dataclass(frozen=True)
-class Term:
+class DictionaryTerm:
     """A term of the dictionary: a course or a product at a stage, with the unit of its sizes.
 
     `course` are the expressions of its course, where it is one, `of_force` one that is a part of the force.
@@ -77,7 +77,7 @@ class Term:
     family: str
     stage: Stage
     expressions: tuple[str, ...]
-    unit: Unit
+    unit: TermUnit
     adds_to: str = ""
     constants: tuple[Parameter, ...] = ()
     once: bool = False
@@ -116,9 +116,9 @@ class Dictionary:
     """All terms in all their forms; `term_of` says by its columns what a variant of `candidates` is."""
 
     candidates: Candidates
-    term_of: dict[tuple[int, ...], Term]
+    term_of: dict[tuple[int, ...], DictionaryTerm]
 
-    def of(self, variant: Variant) -> Term:
+    def of(self, variant: Variant) -> DictionaryTerm:
         """Return the term of a variant."""
         return self.term_of[variant.columns]
 
@@ -129,9 +129,11 @@ def make_dictionary(linear: LinearSystem, given: Floats) -> Dictionary:
     kinds = [Column("given", None)] * len(columns)
     scale = [1.0] * len(columns)
     variants: list[Variant] = []
-    term_of: dict[tuple[int, ...], Term] = {}
+    term_of: dict[tuple[int, ...], DictionaryTerm] = {}
 
-    def take(term: Term, channels: tuple[int, ...], group: Sequence[tuple[str, int | None, Floats]]) -> None:
+    def take(
+        term: DictionaryTerm, channels: tuple[int, ...], group: Sequence[tuple[str, int | None, Floats]]
+    ) -> None:
         first = len(columns)
         for size, channel, column in group:
             columns.append(column)
@@ -163,7 +165,7 @@ WITH_CHANNELS: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
 
 
 def _columns(
-    linear: LinearSystem, term: Term, of_courses: dict[tuple[object, ...], Floats]
+    linear: LinearSystem, term: DictionaryTerm, of_courses: dict[tuple[object, ...], Floats]
 ) -> Iterator[Floats]:
     """Yield for each size of a term what a plausible one adds to the rows: (N, 3) by channel, or (N, 1).
 
@@ -186,7 +188,7 @@ def _columns(
 def _course(linear: LinearSystem, text: str, constants: tuple[Parameter, ...]) -> Floats:
     """Return a course over the readings (n,), as a formula of the head's angle sees it."""
     own = tuple(p for p in constants if p.name in names_in(text))
-    term = Term("", Stage.HEAD_ANGLE, (text,), ANGLE, constants=own)
+    term = DictionaryTerm("", Stage.HEAD_ANGLE, (text,), ANGLE, constants=own)
     applied = AppliedEffect(term.effect("course", per_channel=False), {SIZE_NAMES[0]: np.ones(())})
     return applied.addition(Seen(linear.conditions.angle_rad, linear.conditions, linear.block))
 
@@ -194,13 +196,13 @@ def _course(linear: LinearSystem, text: str, constants: tuple[Parameter, ...]) -
 # --- terms ------------------------------------------------------------------------------------------
 
 
-def _terms(linear: LinearSystem) -> Iterator[Term]:
+def _terms(linear: LinearSystem) -> Iterator[DictionaryTerm]:
     conditions = linear.readings.conditions()
     courses = list(_courses(conditions))
     for course in courses:
         unit = BIAS_PER_K if course.of_temperature else BIAS
         known = course.constants
-        yield Term(
+        yield DictionaryTerm(
             f"{course.words}, in the bias",
             Stage.BLOCK_OUTPUT,
             course.expressions,
@@ -214,7 +216,7 @@ def _terms(linear: LinearSystem) -> Iterator[Term]:
             unit = SCALE_PER_K if course.of_temperature else SCALE
             times = tuple(f"a * ({text})" for text in course.expressions)
             words = f"{course.words}, in the scale factor"
-            yield Term(
+            yield DictionaryTerm(
                 words,
                 Stage.BLOCK_OUTPUT,
                 times,
@@ -228,13 +230,13 @@ def _terms(linear: LinearSystem) -> Iterator[Term]:
         unit = ANGLE_PER_K if course.of_temperature else ANGLE
         words = f"{course.words}, in the head's angle"
         texts = course.expressions
-        yield Term(words, Stage.HEAD_ANGLE, texts, unit, "", known, course.once, texts)
+        yield DictionaryTerm(words, Stage.HEAD_ANGLE, texts, unit, "", known, course.once, texts)
         for angle, what in () if course.local else STAND_WORDS.items():
             words = f"{course.words}, in {what}"
-            yield Term(words, Stage.STAND, texts, unit, angle, known, course.once, texts)
+            yield DictionaryTerm(words, Stage.STAND, texts, unit, angle, known, course.once, texts)
     for words, expressions in FORCES.items():
         for text in expressions:
-            yield Term(words, Stage.BLOCK_OUTPUT, (text,), SQUARE)
+            yield DictionaryTerm(words, Stage.BLOCK_OUTPUT, (text,), SQUARE)
     if linear.readings.unit == "V":
         yield from _of_voltmeters(courses)
 
@@ -254,21 +256,21 @@ FORCES: Final[dict[str, tuple[str, ...]]] = {
 }
 
 
-def _of_voltmeters(courses: Sequence[Course]) -> Iterator[Term]:
+def _of_voltmeters(courses: Sequence[TimeCourse]) -> Iterator[DictionaryTerm]:
     stage = Stage.VOLTMETER_READING
     for course in courses:
         if course.long:
             unit = VOLTS_PER_K if course.of_temperature else VOLTS
             words = f"{course.words}, in the voltage"
             texts = course.expressions
-            yield Term(words, stage, texts, unit, "", course.constants, course.once, texts)
+            yield DictionaryTerm(words, stage, texts, unit, "", course.constants, course.once, texts)
     for text in ("abs(U)", "abs(Ux)", "abs(Uy)", "abs(Uz)"):
-        yield Term("the size of a voltage", stage, (text,), GAIN)
-    yield Term("a power of the voltage", stage, ("U**2",), VOLTS_PER_V2)
-    yield Term("a power of the voltage", stage, ("U**3",), VOLTS_PER_V3)
+        yield DictionaryTerm("the size of a voltage", stage, (text,), GAIN)
+    yield DictionaryTerm("a power of the voltage", stage, ("U**2",), VOLTS_PER_V2)
+    yield DictionaryTerm("a power of the voltage", stage, ("U**3",), VOLTS_PER_V3)
     low, below = "(abs(U) < low)", (_constant("low", "V", 1.0, LOW_RANGE_V),)
-    yield Term("voltages below 1.2 V", stage, (low,), VOLTS, constants=below)
-    yield Term("voltages below 1.2 V, in proportion", stage, (f"U * {low}",), GAIN, constants=below)
+    yield DictionaryTerm("voltages below 1.2 V", stage, (low,), VOLTS, constants=below)
+    yield DictionaryTerm("voltages below 1.2 V, in proportion", stage, (f"U * {low}",), GAIN, constants=below)
 
 
 def _constant(name: str, unit: str, si: float, value: float) -> Parameter:
@@ -279,7 +281,7 @@ def _constant(name: str, unit: str, si: float, value: float) -> Parameter:
 # --- courses ----------------------------------------------------------------------------------------
 
 
-def _courses(conditions: Conditions) -> Iterator[Course]:
+def _courses(conditions: Conditions) -> Iterator[TimeCourse]:
     """Yield the courses that can differ in these readings."""
     yield from _of_angle(conditions)
     yield from _of_turns(conditions)
@@ -289,7 +291,7 @@ def _courses(conditions: Conditions) -> Iterator[Course]:
         for lag in LAGS_MIN:
             text = "lagged(temperature, lag)" if lag else "temperature"
             behind = (_constant("lag", "min", MINUTE, lag * MINUTE),) if lag else ()
-            yield Course(
+            yield TimeCourse(
                 "the temperature, at once or with a lag", (text,), behind, of_temperature=True, long=True
             )
 
@@ -304,60 +306,60 @@ def _in_visit(number: int) -> str:
     return f"(visit > {number - 0.5:g}) * (visit < {number + 0.5:g})"
 
 
-def _of_angle(conditions: Conditions) -> Iterator[Course]:
+def _of_angle(conditions: Conditions) -> Iterator[TimeCourse]:
     angle = conditions.angle_rad[np.isfinite(conditions.angle_rad)]
     distinct = len(np.unique(np.round(np.degrees(angle) % 360.0, 1)))
     visits = range(1, _visits(conditions) + 1) if _visits(conditions) > 1 else range(0)
     for k in (0.5, *range(1, min(distinct // 2, 6) + 1)):
         inside = "angle" if k == 1 else f"{k:g} * angle"
         wave = (f"cos({inside})", f"sin({inside})")
-        yield Course(f"a wave, {k:g} per turn", wave)
+        yield TimeCourse(f"a wave, {k:g} per turn", wave)
         for visit in visits:
-            yield Course(
+            yield TimeCourse(
                 f"a wave, {k:g} per turn, of one mounting",
                 tuple(f"{w} * {_in_visit(visit)}" for w in wave),
                 local=True,
             )
-    yield Course("the angle of the head, unwound between passes", ("angle / (2 * pi)",))
+    yield TimeCourse("the angle of the head, unwound between passes", ("angle / (2 * pi)",))
     for degrees in sorted(set(np.round(np.degrees(angle), 1).tolist())):
         at = f"(abs(angle - {np.radians(degrees):.6g}) < 0.004)"
-        yield Course("one angle of the head", (at,), local=True)
+        yield TimeCourse("one angle of the head", (at,), local=True)
         for visit in visits:
-            yield Course(
+            yield TimeCourse(
                 "one angle of the head, of one mounting", (f"{at} * {_in_visit(visit)}",), local=True
             )
 
 
-def _of_turns(conditions: Conditions) -> Iterator[Course]:
-    yield Course("the turn of the head since the block was mounted", ("turned / (2 * pi)",))
-    yield Course("the turn of the head since the start", ("wound / (2 * pi)",))
+def _of_turns(conditions: Conditions) -> Iterator[TimeCourse]:
+    yield TimeCourse("the turn of the head since the block was mounted", ("turned / (2 * pi)",))
+    yield TimeCourse("the turn of the head since the start", ("wound / (2 * pi)",))
     for turns in (0.25, 0.5, 1, 2):
-        yield Course(
+        yield TimeCourse(
             "what fades as the head is turned", (f"exp(-travelled / ({2 * turns:g} * pi))",), long=True
         )
     if len(set(conditions.direction[np.isfinite(conditions.angle_rad)].tolist())) > 1:
-        yield Course("the direction of approach", ("direction",))
-        yield Course(
+        yield TimeCourse("the direction of approach", ("direction",))
+        yield TimeCourse(
             "the direction of approach, once per turn",
             ("direction * cos(angle)", "direction * sin(angle)"),
         )
 
 
-def _of_time(conditions: Conditions) -> Iterator[Course]:
+def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
     time = conditions.elapsed_s
     if np.ptp(time) <= 0.0:
         return
     span = (_constant("T", "s", 1.0, float(f"{np.ptp(time):.4g}")),)
-    yield Course("the time", ("time / T",), span, long=True)
-    yield Course("the time and its square", ("time / T", "(time / T)**2"), span, long=True)
+    yield TimeCourse("the time", ("time / T",), span, long=True)
+    yield TimeCourse("the time and its square", ("time / T", "(time / T)**2"), span, long=True)
     for minutes in TIME_CONSTANTS_MIN:
         tau = (_constant("tau", "min", MINUTE, minutes * MINUTE),)
-        yield Course("what fades with time", ("exp(-time / tau)",), tau, long=True)
+        yield TimeCourse("what fades with time", ("exp(-time / tau)",), tau, long=True)
     for k in range(SLOWEST, FASTEST + 1):
-        yield Course("a slow wave in time", (f"cos({k:g} * pi * time / T)",), span)
+        yield TimeCourse("a slow wave in time", (f"cos({k:g} * pi * time / T)",), span)
     for at in _between(time[np.isfinite(conditions.angle_rad)]):
         when = (_constant("t", "s", 1.0, float(f"{at:.7g}")),)
-        yield Course("a step in time", ("(time > t)",), when, local=True, once=True)
+        yield TimeCourse("a step in time", ("(time > t)",), when, local=True, once=True)
 
 
 def _between(time_s: Floats) -> Floats:
@@ -366,14 +368,16 @@ def _between(time_s: Floats) -> Floats:
     return (ordered[1:] + ordered[:-1]) / 2
 
 
-def _of_passes(conditions: Conditions) -> Iterator[Course]:
+def _of_passes(conditions: Conditions) -> Iterator[TimeCourse]:
     angled = np.isfinite(conditions.angle_rad)
     passes = sorted(set(conditions.pass_number[angled].tolist()))
     count = _visits(conditions)
     for visit in range(1, count + 1) if count > 1 else range(0):
-        yield Course("one mounting", (_in_visit(visit),), long=True)
+        yield TimeCourse("one mounting", (_in_visit(visit),), long=True)
     for number in passes if len(passes) > 1 else ():
         alone = f"(pass_number > {number - 0.5:g}) * (pass_number < {number + 0.5:g})"
-        yield Course("one pass", (alone,), long=True, once=True)
+        yield TimeCourse("one pass", (alone,), long=True, once=True)
         for visit in range(1, count + 1) if count > 1 else range(0):
-            yield Course("one pass of one mounting", (f"{alone} * {_in_visit(visit)}",), long=True, once=True)
+            yield TimeCourse(
+                "one pass of one mounting", (f"{alone} * {_in_visit(visit)}",), long=True, once=True
+            )

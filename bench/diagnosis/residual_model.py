@@ -14,7 +14,7 @@ from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.evidence import Data, Search, Threshold, Whitened
 from bench.diagnosis.gap import SURE, determined, folds_of, restrict, thirds_of
 from bench.diagnosis.linear import LinearSystem
-from bench.diagnosis.naming import LESS_PLAUSIBLE, Found, Naming, Scored
+from bench.diagnosis.naming import LESS_PLAUSIBLE, FoundEffect, Naming, Scored
 from bench.diagnosis.noise_grid import Repeats, make_noise_grid
 from bench.diagnosis.posterior import (
     NoiseSize,
@@ -35,7 +35,7 @@ MOST_ALIKE: Final = 4
 
 
 @dataclass(frozen=True)
-class Setting:
+class SearchSettings:
     """What a search needs beside the columns: the size of the noise to begin with, its ratios, the threshold."""
 
     sigma: float
@@ -63,17 +63,17 @@ class FormFold:
 
 
 @dataclass(frozen=True)
-class Form:
+class ResidualForm:
     """What was found in all readings, beside the first `given` columns; `sizes` of each term's columns."""
 
     given: int
-    found: list[Found]
+    found: list[FoundEffect]
     sizes: list[Floats]
 
 
-def search(whitened: Whitened, data: Data, given: int, limit: Threshold) -> list[Found]:
+def search(whitened: Whitened, data: Data, given: int, limit: Threshold) -> list[FoundEffect]:
     """Find the terms beside the first `given` columns, which the model has by now."""
-    found: list[Found] = []
+    found: list[FoundEffect] = []
     while len(found) < MOST_TERMS:
         scored = Scored.beside(whitened, data, _known(given, found))
         if scored.total < limit.value:
@@ -82,11 +82,13 @@ def search(whitened: Whitened, data: Data, given: int, limit: Threshold) -> list
     return _needed(whitened, data, given, found, limit)
 
 
-def _known(given: int, found: list[Found], but: int | None = None) -> list[int]:
+def _known(given: int, found: list[FoundEffect], but: int | None = None) -> list[int]:
     return [*range(given), *(c for i, f in enumerate(found) if i != but for c in f.variant.columns)]
 
 
-def _looked_at_again(whitened: Whitened, data: Data, given: int, found: list[Found]) -> list[Found]:
+def _looked_at_again(
+    whitened: Whitened, data: Data, given: int, found: list[FoundEffect]
+) -> list[FoundEffect]:
     """Look at each earlier term again beside all others: it may have stood in for something else."""
     for i in range(len(found) - 1):
         best = Scored.beside(whitened, data, _known(given, found, but=i)).best()
@@ -95,7 +97,9 @@ def _looked_at_again(whitened: Whitened, data: Data, given: int, found: list[Fou
     return found
 
 
-def _needed(whitened: Whitened, data: Data, given: int, found: list[Found], limit: Threshold) -> list[Found]:
+def _needed(
+    whitened: Whitened, data: Data, given: int, found: list[FoundEffect], limit: Threshold
+) -> list[FoundEffect]:
     """Leave out the terms that are not worth their place beside the others; the weakest first."""
     while len(found) > 1:
         odds = [
@@ -109,7 +113,9 @@ def _needed(whitened: Whitened, data: Data, given: int, found: list[Found], limi
     return found
 
 
-def alike(whitened: Whitened, data: Data, given: int, found: list[Found], which: int) -> tuple[str, ...]:
+def alike(
+    whitened: Whitened, data: Data, given: int, found: list[FoundEffect], which: int
+) -> tuple[str, ...]:
     """Return the families that explain nearly as much in the place of a term, the more plausible first."""
     evidence = Scored.beside(whitened, data, _known(given, found, but=which)).evidence
     mine = found[which].variant.family
@@ -117,7 +123,7 @@ def alike(whitened: Whitened, data: Data, given: int, found: list[Found], which:
     return tuple(sorted(near, key=lambda family: -evidence[family])[:MOST_ALIKE])
 
 
-def whitened_columns(linear: LinearSystem, candidates: Candidates, setting: Setting) -> Whitened:
+def whitened_columns(linear: LinearSystem, candidates: Candidates, setting: SearchSettings) -> Whitened:
     """Whiten the columns of a dictionary in the noise as it is known by now."""
     grid = make_noise_grid(linear, setting.sigma, setting.setting_rad, setting.ratios)
     return Whitened.of(grid, candidates, few_known=True)
@@ -126,9 +132,9 @@ def whitened_columns(linear: LinearSystem, candidates: Candidates, setting: Sett
 def held_out(
     linear: LinearSystem,
     candidates: Candidates,
-    found: Form,
+    found: ResidualForm,
     noise: NoiseSize,
-    setting: Setting,
+    setting: SearchSettings,
     *,
     once: bool,
 ) -> list[FormFold]:
@@ -146,9 +152,9 @@ def held_out(
 def _folds(
     linear: LinearSystem,
     candidates: Candidates,
-    found: Form,
+    found: ResidualForm,
     noise: NoiseSize,
-    setting: Setting,
+    setting: SearchSettings,
     parts: Iterator[tuple[str, Mask]],
 ) -> list[FormFold]:
     able = [(label, held) for label, held in parts if determined(linear, ~held)]
@@ -158,9 +164,9 @@ def _folds(
 def _fold(
     linear: LinearSystem,
     candidates: Candidates,
-    form: Form,
+    form: ResidualForm,
     noise: NoiseSize,
-    setting: Setting,
+    setting: SearchSettings,
     label: str,
     held: Mask,
 ) -> FormFold:
@@ -178,7 +184,7 @@ def _fold(
     return FormFold(label, error([]), error(_known(form.given, found)), counted)
 
 
-def _could_show(whitened: Whitened, form: Form, noise: NoiseSize, limit: Threshold) -> bool:
+def _could_show(whitened: Whitened, form: ResidualForm, noise: NoiseSize, limit: Threshold) -> bool:
     """Whether these readings would show each term at its size: from the design, not from their values."""
     half = np.sqrt(2.0 * max(limit.value + np.log(len(whitened.candidates.families)), 1.0))
     for i, (one, size) in enumerate(zip(form.found, form.sizes, strict=True)):
@@ -314,7 +320,7 @@ OF_SETTING: Final = 2
 
 
 @dataclass(frozen=True)
-class Dark:
+class UnexplainedScatter:
     """Scatter beyond that of the repeats (1 σ, unit of the signal), its u, the 95 % limit, the chance of it.
 
     `u` and `upper` are infinite where there are no readings beside the repeats to tell.
@@ -326,7 +332,7 @@ class Dark:
     p: float
 
     @classmethod
-    def of(cls, noise: NoiseSize, repeats: Repeats) -> Dark:
+    def of(cls, noise: NoiseSize, repeats: Repeats) -> UnexplainedScatter:
         """Compare the noise beside all that was found with that of the repeats, which is a part of it (F test)."""
         of_repeats = OF_SETTING * repeats.freedom
         beyond = noise.freedom - of_repeats
@@ -356,7 +362,7 @@ LARGER: Final = 1.5
 
 
 @dataclass(frozen=True)
-class Scatter:
+class LocalScatter:
     """Where readings scatter more: standard deviations there and elsewhere, unit of the signal."""
 
     channel: str
@@ -371,10 +377,10 @@ class Scatter:
         return f"channel {self.channel}, {self.where}"
 
 
-def larger_scatter(linear: LinearSystem, left: Floats) -> Scatter | None:
+def larger_scatter(linear: LinearSystem, left: Floats) -> LocalScatter | None:
     """Return the place whose residuals `left` (N,) scatter most beyond the others, None where none does."""
     places = list(_places(linear))
-    best: Scatter | None = None
+    best: LocalScatter | None = None
     oriented = linear.setting >= 0
     for channel, where, rows in places:
         others = oriented & ~rows
@@ -386,7 +392,7 @@ def larger_scatter(linear: LinearSystem, left: Floats) -> Scatter | None:
             continue
         p = float(special.fdtrc(inside, outside, (sd / elsewhere) ** 2)) * len(places)
         if p < SIGNIFICANT and (best is None or p < best.p):
-            best = Scatter(channel, where, sd, elsewhere, p)
+            best = LocalScatter(channel, where, sd, elsewhere, p)
     return best
 
 
@@ -458,8 +464,8 @@ class FreeForm:
 
     terms: tuple[FormTerm, ...]
     folds: tuple[FormFold, ...]
-    dark: Dark
-    scatter: Scatter | None
+    dark: UnexplainedScatter
+    scatter: LocalScatter | None
     unit: str
     instead_of: tuple[str, ...] = ()
 
@@ -497,7 +503,7 @@ class FreeForm:
         return sum(chi2) / max(sum(fold.count for fold in self.counted), 1)
 
 
-def describe(linear: LinearSystem, given: Floats, repeats: Repeats, setting: Setting) -> FreeForm:
+def describe(linear: LinearSystem, given: Floats, repeats: Repeats, setting: SearchSettings) -> FreeForm:
     """Describe what has no name beside what has one: the columns `given` (N, m), one prior size each."""
     dictionary = make_dictionary(linear, given)
     count = given.shape[1]
@@ -516,7 +522,7 @@ def describe(linear: LinearSystem, given: Floats, repeats: Repeats, setting: Set
             if found
             else ()
         ),
-        dark=Dark.of(noise, repeats),
+        dark=UnexplainedScatter.of(noise, repeats),
         scatter=None,
         unit=linear.readings.unit,
     )
@@ -525,15 +531,15 @@ def describe(linear: LinearSystem, given: Floats, repeats: Repeats, setting: Set
     noise = noise_size(whitened, data, believed)
     return replace(
         form,
-        dark=Dark.of(noise, repeats),
+        dark=UnexplainedScatter.of(noise, repeats),
         scatter=larger_scatter(linear, _left(linear, dictionary.candidates.columns[:, believed], noise)),
     )
 
 
-def _of(found: list[Found], fitted: Posterior, given: int) -> Form:
+def _of(found: list[FoundEffect], fitted: Posterior, given: int) -> ResidualForm:
     """Return the terms with the sizes of their columns."""
     ends = np.cumsum([len(f.variant.columns) for f in found])
-    return Form(given, found, np.split(fitted.amplitudes[given:], ends[:-1]))
+    return ResidualForm(given, found, np.split(fitted.amplitudes[given:], ends[:-1]))
 
 
 def _left(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats:
@@ -546,7 +552,7 @@ def _left(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats:
 def _terms(
     linear: LinearSystem,
     dictionary: Dictionary,
-    found: Sequence[Found],
+    found: Sequence[FoundEffect],
     others: Sequence[tuple[str, ...]],
     fitted: Posterior,
     given: int,
@@ -565,7 +571,7 @@ def _terms(
     return tuple(terms)
 
 
-def _applied(dictionary: Dictionary, one: Found, name: str, value: Floats, u: Floats) -> AppliedEffect:
+def _applied(dictionary: Dictionary, one: FoundEffect, name: str, value: Floats, u: Floats) -> AppliedEffect:
     candidates: Candidates = dictionary.candidates
     kinds = [candidates.kinds[column] for column in one.variant.columns]
     per_channel = kinds[0].channel is not None

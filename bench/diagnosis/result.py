@@ -31,7 +31,7 @@ from bench.diagnosis.noise_kinds import NoiseFinding, NoiseKind, WeighedDown
 from bench.diagnosis.posterior import KnownTogether, NoiseSize, Posterior
 from bench.diagnosis.residual_model import FreeForm
 from bench.diagnosis.visibility import Smallest
-from bench.diagnosis.where import Place
+from bench.diagnosis.where import ResidualPattern
 from bench.model.conditions import REFERENCE_C, REMOUNT_S, SETTING_S
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect
 from bench.model.effects.formula import FormulaEffect, names_in
@@ -199,7 +199,7 @@ class Diagnosis:
 
     verdict: Verdict
     of_copy: Verdict
-    where: tuple[Place, ...]
+    where: tuple[ResidualPattern, ...]
     mistakes: MistakeSearch
     effects: tuple[NamedEffect, ...]
     hidden: Mapping[str, tuple[str, ...]]

@@ -87,7 +87,7 @@ class CoefficientChange:
 
 
 @dataclass(frozen=True)
-class Shown:
+class ModelComparison:
     """The model that was given, and the one with what was found; None where nothing was named."""
 
     before: Simulation
@@ -113,7 +113,7 @@ def show(
     stand_u: Mapping[str, float],
     g_m_s2: float,
     in_part: tuple[AppliedEffect, ...] = (),
-) -> Shown:
+) -> ModelComparison:
     """Simulate the bench of `readings` with the model and with the `added` effects.
 
     `readings` are those with any mistake put right; `stand_u` as for `diagnose`. What was found in these
@@ -124,11 +124,11 @@ def show(
     stand = {name: u for name, u in stand_u.items() if name != "setting_error"}
     before = _simulate(readings, model, stand, g_m_s2)
     if not added:
-        return Shown(before, None)
+        return ModelComparison(before, None)
     fresh = tuple(replace(one, u={}) for one in added)
     names = " + ".join(dict.fromkeys(label(one) for one in added))
     extended = replace(model, effects=(*model.effects, *fresh, *in_part), name=f"{model.name} + {names}")
-    return Shown(before, _simulate(readings, extended, stand, g_m_s2))
+    return ModelComparison(before, _simulate(readings, extended, stand, g_m_s2))
 
 
 def label(applied: AppliedEffect) -> str:

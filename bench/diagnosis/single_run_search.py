@@ -73,7 +73,7 @@ Prepare = Callable[[LinearSystem, Threshold, float], Prepared]
 """Prepares readings for a search, with the limit of such readings and the most that their noise is."""
 
 
-class Again(Protocol):
+class ReweightedSearch(Protocol):
     """Looks for all again in readings that are weighed otherwise: about what `prepared` is about."""
 
     def __call__(
@@ -82,7 +82,7 @@ class Again(Protocol):
         """Prepare and search `linear`, with the `limit` of such readings and the `most` noise where known."""
 
 
-def noise_as_it_is(prepared: Prepared, naming: Naming, again: Again) -> tuple[Prepared, Naming]:
+def noise_as_it_is(prepared: Prepared, naming: Naming, again: ReweightedSearch) -> tuple[Prepared, Naming]:
     """Look for all again where what is left has heavy tails, and where its channels differ.
 
     What explains more of the readings than all that was found, as channels with noise of their own may, stands in
@@ -109,7 +109,9 @@ def noise_as_it_is(prepared: Prepared, naming: Naming, again: Again) -> tuple[Pr
     return again(prepared, replace(prepared.linear, by_channel=sizes), most=noise.reading)
 
 
-def _own_sizes_instead(prepared: Prepared, naming: Naming, again: Again) -> tuple[Prepared, Naming]:
+def _own_sizes_instead(
+    prepared: Prepared, naming: Naming, again: ReweightedSearch
+) -> tuple[Prepared, Naming]:
     """Look for all again where channels with noise of their own sizes explain more than all that was found.
 
     A channel with more noise than the others looks as if something were missing in it alone, and what takes that up

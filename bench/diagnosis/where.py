@@ -30,7 +30,7 @@ HARMONICS: Final = (
 
 
 @dataclass(frozen=True)
-class Place:
+class ResidualPattern:
     """One pattern of the disagreement. `size` is its amplitude in the unit of the signal, `p` with all looks."""
 
     channel: str
@@ -52,7 +52,7 @@ class _Look:
 
 def find_places(
     linear: LinearSystem, grid: NoiseGrid, ratio: int, sigma: float, freedom: int
-) -> tuple[Place, ...]:
+) -> tuple[ResidualPattern, ...]:
     """Return the patterns that stand out of the noise with all looks counted, at most `MOST_PLACES`.
 
     `sigma` is the noise of a reading as the repeats give it, with `freedom`; `ratio` says which of the grid.
@@ -63,7 +63,7 @@ def find_places(
     first = np.cumsum(wide) - wide
     size_of = np.linalg.norm(white, axis=0)
     left = grid.white[ratio] @ linear.response
-    places: list[Place] = []
+    places: list[ResidualPattern] = []
     basis = np.zeros((len(left), 0))
     while len(places) < MOST_PLACES:
         seen = white - basis @ (basis.T @ white)
@@ -79,7 +79,7 @@ def find_places(
         amplitude = np.linalg.solve(r, q.T @ left)
         size = float(np.max(np.abs(look.columns @ amplitude)))
         places.append(
-            Place(
+            ResidualPattern(
                 look.channel, look.installation, look.pattern, size, linear.readings.unit,
                 min(1.0, p * len(looks)), p,
             )

@@ -26,7 +26,7 @@ from bench.exchange.autopilots import (
     px4_notes,
     px4_params,
 )
-from bench.exchange.result import CONVENTION, BlockResult, Row
+from bench.exchange.result import CONVENTION, BlockResult, ReportedNumber
 from bench.model.geometry import COEFFICIENTS
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ def workbook(result: BlockResult) -> bytes:
     return out.getvalue()
 
 
-def _numbers(sheet: Worksheet, rows: Iterable[Row]) -> None:
+def _numbers(sheet: Worksheet, rows: Iterable[ReportedNumber]) -> None:
     _write(sheet, [["name", "value", "u", "U", "unit"], *([r.name, r.value, r.u, r.U, r.unit] for r in rows)])
 
 
@@ -240,7 +240,7 @@ def print_coefficients(result: BlockResult, on: Console) -> None:
     on.print(_table(result.misalignment_rows, result.k, 1.0 / ARCSEC, "arcsec"))
 
 
-def _table(rows: Iterable[Row], k: float, times: float = 1.0, unit: str = "") -> Table:
+def _table(rows: Iterable[ReportedNumber], k: float, times: float = 1.0, unit: str = "") -> Table:
     """Return the rows with u and U, rounded to two digits of u."""
     shown = table("", ">value", ">u", f">U (k={k:g})", "")
     for row in rows:
@@ -254,7 +254,7 @@ def _table(rows: Iterable[Row], k: float, times: float = 1.0, unit: str = "") ->
 
 
 @dataclass(frozen=True)
-class Form:
+class ExportForm:
     """A form: its words for a person, the end of its file's name, who writes it.
 
     `loses` tells what the form cannot hold, a sentence each; None for one that holds everything. Both take the
@@ -268,12 +268,12 @@ class Form:
 
 
 FORMS: Final = {
-    "json": Form("JSON", ".json", lambda result, _: json_text(result)),
-    "csv": Form("CSV", ".csv", lambda result, _: csv_text(result)),
-    "c": Form("C header", ".h", lambda result, _: c_header(result)),
-    "excel": Form("Excel workbook", ".xlsx", lambda result, _: workbook(result)),
-    "kalibr": Form("Kalibr YAML", "-kalibr.yaml", kalibr_yaml, kalibr_notes),
-    "px4": Form("PX4 parameters", "-px4.params", px4_params, px4_notes),
-    "ardupilot": Form("ArduPilot parameters", "-ardupilot.param", ardupilot_param, ardupilot_notes),
+    "json": ExportForm("JSON", ".json", lambda result, _: json_text(result)),
+    "csv": ExportForm("CSV", ".csv", lambda result, _: csv_text(result)),
+    "c": ExportForm("C header", ".h", lambda result, _: c_header(result)),
+    "excel": ExportForm("Excel workbook", ".xlsx", lambda result, _: workbook(result)),
+    "kalibr": ExportForm("Kalibr YAML", "-kalibr.yaml", kalibr_yaml, kalibr_notes),
+    "px4": ExportForm("PX4 parameters", "-px4.params", px4_params, px4_notes),
+    "ardupilot": ExportForm("ArduPilot parameters", "-ardupilot.param", ardupilot_param, ardupilot_notes),
 }
 """The forms by the names that `--as` takes."""

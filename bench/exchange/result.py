@@ -23,7 +23,7 @@ OF_READINGS = "the stand and the noise of these readings alone; gain and offset 
 
 
 @dataclass(frozen=True)
-class Row:
+class ReportedNumber:
     """One number with its standard and its expanded uncertainty, all in `unit`."""
 
     name: str
@@ -143,20 +143,20 @@ class BlockResult:
         return misalignments(self.block, self.covariance)
 
     @property
-    def coefficient_rows(self) -> list[Row]:
+    def coefficient_rows(self) -> list[ReportedNumber]:
         """The twelve coefficients."""
         own = Derived(COEFFICIENTS, self.block.vector, self.covariance)
         return self._rows(own, lambda name: self.unit if name.startswith("U0") else f"{self.unit}/g")
 
     @property
-    def inverse_rows(self) -> list[Row]:
+    def inverse_rows(self) -> list[ReportedNumber]:
         """N and U0."""
         return self._rows(
             self.inverse, lambda name: self.unit if name.startswith("U0") else self.inverse_unit
         )
 
     @property
-    def misalignment_rows(self) -> list[Row]:
+    def misalignment_rows(self) -> list[ReportedNumber]:
         """The six angles."""
         return self._rows(self.misalignments, lambda _: "rad")
 
@@ -165,10 +165,10 @@ class BlockResult:
         """The unit of N."""
         return "g/(m/s^2)" if self.unit == "m/s^2" else f"g/{self.unit}"
 
-    def _rows(self, derived: Derived, unit_of: Any) -> list[Row]:
+    def _rows(self, derived: Derived, unit_of: Any) -> list[ReportedNumber]:
         stated = self.expanded or {}
         sizes = zip(derived.names, derived.values.tolist(), u_of(derived.covariance).tolist(), strict=True)
-        return [Row(n, value, u, stated.get(n, self.k * u), unit_of(n)) for n, value, u in sizes]
+        return [ReportedNumber(n, value, u, stated.get(n, self.k * u), unit_of(n)) for n, value, u in sizes]
 
     @property
     def block_name(self) -> str:
@@ -211,6 +211,6 @@ class BlockResult:
         ).to_dict()
 
 
-def _derived(derived: Derived, rows: list[Row], **said: str) -> dict[str, Any]:
+def _derived(derived: Derived, rows: list[ReportedNumber], **said: str) -> dict[str, Any]:
     values = {row.name: row for row in rows}
     return {**said, "values": values, "order": derived.names, "covariance": derived.covariance}

@@ -10,7 +10,7 @@ from scipy import special
 
 from bench.base.arrays import Floats, Ints, Labels, rms, u_of
 from bench.calibration.result import CalibrationError
-from bench.history.equivalence import STANDARD_GRAVITY, Measured, coded
+from bench.history.equivalence import STANDARD_GRAVITY, ComparedCalibrations, coded
 from bench.model.geometry import COEFFICIENTS
 from bench.stats import holm
 from bench.stats.crossed_effects import (
@@ -74,7 +74,7 @@ ONE_SIDED: Final = 1.645
 
 
 @dataclass(frozen=True)
-class Size:
+class EstimatedSize:
     """A size, 1 sigma, its standard uncertainty (NaN where it is zero), and what it is below with 95 %.
 
     `p_all_looks` is the probability of so much likelihood gained by chance, over the twelve; NaN where not asked.
@@ -101,9 +101,9 @@ class Sizes:
     of a unit on a bench against their stated u, with degrees of freedom.
     """
 
-    unit: Size
-    bench: Size
-    excess: Size
+    unit: EstimatedSize
+    bench: EstimatedSize
+    excess: EstimatedSize
     stated: float
     meters: float
     allotment: Allotment
@@ -125,7 +125,7 @@ class Sizes:
 
 
 @dataclass(frozen=True)
-class Apart:
+class OutlyingEffect:
     """A unit or bench whose effect on one coefficient stands out from the others'."""
 
     name: str
@@ -149,17 +149,19 @@ class BenchOrBlock:
     effect: Floats
     u: Floats
     p_all_looks: Floats
-    units_apart: tuple[Apart, ...]
+    units_apart: tuple[OutlyingEffect, ...]
     counts: dict[str, int]
     signal: str
     simulated: bool
     notes: tuple[str, ...]
 
     @property
-    def benches_apart(self) -> tuple[Apart, ...]:
+    def benches_apart(self) -> tuple[OutlyingEffect, ...]:
         """Benches that stand out of their set, the largest first for its uncertainty."""
         found = [
-            Apart(self.benches[b], COEFFICIENTS[k], float(self.effect[b, k]), float(self.u[b, k]), float(p))
+            OutlyingEffect(
+                self.benches[b], COEFFICIENTS[k], float(self.effect[b, k]), float(self.u[b, k]), float(p)
+            )
             for (b, k), p in np.ndenumerate(self.p_all_looks)
             if p < SHOWN_P
         ]
@@ -185,7 +187,7 @@ class BenchOrBlock:
         return f"both: benches differ in {', '.join(shown)}{more}{named}"
 
 
-def bench_or_block(measured: Measured) -> BenchOrBlock:
+def bench_or_block(measured: ComparedCalibrations) -> BenchOrBlock:
     """Return sizes and effects of units and benches over calibrations of many units on many benches.
 
     Raises `CalibrationError` where no unit was calibrated twice, or all on one bench.
@@ -233,7 +235,7 @@ def bench_or_block(measured: Measured) -> BenchOrBlock:
     )  # fmt: skip
 
 
-def _whole_names(measured: Measured) -> list[str]:
+def _whole_names(measured: ComparedCalibrations) -> list[str]:
     """Return unit and type in one: two types may have the same serial number."""
     return [
         unit if unit.startswith(kind) else f"{kind} {unit}"
@@ -305,10 +307,10 @@ def _sizes(
     return tuple(sizes)
 
 
-def _size(found: Crossed, which: int, p: float = float("nan")) -> Size:
+def _size(found: Crossed, which: int, p: float = float("nan")) -> EstimatedSize:
     value, u = float(found.sizes[which]), float(found.u_sizes[which])
     limit = value + ONE_SIDED * u if u < WELL_KNOWN * value else most(found, which)
-    return Size(value, u, limit, p)
+    return EstimatedSize(value, u, limit, p)
 
 
 def _effects(found: Crossed) -> tuple[Floats, Floats]:
@@ -316,7 +318,7 @@ def _effects(found: Crossed) -> tuple[Floats, Floats]:
     return effect, u_of(covariance)
 
 
-def _units_apart(found: list[Crossed], columns: list[_Column], units: Labels) -> tuple[Apart, ...]:
+def _units_apart(found: list[Crossed], columns: list[_Column], units: Labels) -> tuple[OutlyingEffect, ...]:
     rows = []
     for one, column in zip(found, columns, strict=True):
         whole = one if np.isfinite(one.sizes[UNIT]) else column.fit()
@@ -327,7 +329,9 @@ def _units_apart(found: list[Crossed], columns: list[_Column], units: Labels) ->
     for j, k in zip(*np.nonzero(p < SHOWN_P), strict=True):
         effect = float(rows[k][0][j])
         apart.append(
-            Apart(str(units[j]), COEFFICIENTS[k], effect, effect / float(score[j, k]), float(p[j, k]))
+            OutlyingEffect(
+                str(units[j]), COEFFICIENTS[k], effect, effect / float(score[j, k]), float(p[j, k])
+            )
         )
     return tuple(sorted(apart, key=lambda one: one.p_all_looks))
 
@@ -407,7 +411,7 @@ class Prior:
         return self.mean * factor, self.covariance * np.outer(factor, factor)
 
 
-def prior_of(measured: Measured) -> Prior:
+def prior_of(measured: ComparedCalibrations) -> Prior:
     """Return what calibrations of several units of one type tell of a further unit of it.
 
     Raises `CalibrationError` for units of several types, or too few of them.
@@ -445,7 +449,7 @@ def prior_of(measured: Measured) -> Prior:
     )
 
 
-def _own(measured: Measured, unit: Ints) -> tuple[Floats, tuple[str, ...]]:
+def _own(measured: ComparedCalibrations, unit: Ints) -> tuple[Floats, tuple[str, ...]]:
     """Return the part (n, 12, 12) of stated covariances that each calibration has of its own, and notes.
 
     It is what repeated calibrations of a unit scatter by, at most what is stated; nothing, where few were

@@ -132,7 +132,7 @@ class Changes:
 
 
 @dataclass(frozen=True)
-class Drift:
+class DriftLines:
     """Weighted straight lines through each coefficient over time.
 
     `per_year` and `u` (12,); `p_all_looks` (12,) after Holm over the twelve; `chi2` and `p` of what the lines
@@ -162,7 +162,7 @@ class Comparison:
     first: Snapshot
     changes: tuple[Changes, ...]
     p_constant: float
-    drift: Drift | None
+    drift: DriftLines | None
     notes: tuple[str, ...]
 
     @property
@@ -240,7 +240,7 @@ def _constant(snapshots: Sequence[Snapshot]) -> float:
     return float(special.chdtrc(len(mean) * (len(snapshots) - 1), chi2))
 
 
-def _drift(snapshots: Sequence[Snapshot], dates: Sequence[datetime]) -> Drift:
+def _drift(snapshots: Sequence[Snapshot], dates: Sequence[datetime]) -> DriftLines:
     """Straight lines by generalised least squares, all coefficients at once with their covariances."""
     seconds = np.sort([date.timestamp() for date in dates])
     years = (seconds - seconds[0]) / SECONDS_PER_YEAR
@@ -259,7 +259,7 @@ def _drift(snapshots: Sequence[Snapshot], dates: Sequence[datetime]) -> Drift:
     slope, u = line[count:], u_of(covariance)[count:]
     dof = count * (len(snapshots) - 2)
     p = holm(special.erfc(np.abs(slope) / u / np.sqrt(2)))
-    return Drift(slope, u, p, chi2, dof, float(special.chdtrc(dof, chi2)))
+    return DriftLines(slope, u, p, chi2, dof, float(special.chdtrc(dof, chi2)))
 
 
 def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:

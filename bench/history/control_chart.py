@@ -16,10 +16,10 @@ from bench.model.geometry import COEFFICIENTS
 from bench.stats.control_charts import (
     ALIKE_P,
     Centre,
+    ChartDesign,
     Components,
-    Design,
     DriftSeen,
-    Judged,
+    JudgedDeviations,
     ShortTerm,
     centre_of,
     components_of,
@@ -215,13 +215,13 @@ class ControlChart:
     where they are too few. `verdicts` are of the later runs, in their order.
     """
 
-    design: Design
+    design: ChartDesign
     baseline: tuple[CheckRun, ...]
     reference: Reference | None
     later: tuple[CheckRun, ...]
     centre: Centre
-    shewhart: Judged
-    ewma: Judged
+    shewhart: JudgedDeviations
+    ewma: JudgedDeviations
     short: ShortTerm | None
     components: Components | None
     drift: DriftSeen | None
@@ -258,7 +258,7 @@ class ControlChart:
 def control_chart(
     baseline: Sequence[CheckRun],
     later: Sequence[CheckRun],
-    design: Design,
+    design: ChartDesign,
     *,
     reference: Reference | None = None,
     drift: KnownDrift | None = None,
@@ -348,12 +348,14 @@ class _Judging:
     lines: _Lines
     pooled: _Pooled
     baseline: Sequence[CheckRun]
-    design: Design
+    design: ChartDesign
 
-    def shewhart(self, runs: Sequence[CheckRun]) -> Judged:
+    def shewhart(self, runs: Sequence[CheckRun]) -> JudgedDeviations:
         return self._judged(runs, 1.0)
 
-    def ewma(self, runs: Sequence[CheckRun], shewhart: Judged, restarted: datetime | None) -> Judged:
+    def ewma(
+        self, runs: Sequence[CheckRun], shewhart: JudgedDeviations, restarted: datetime | None
+    ) -> JudgedDeviations:
         """Return the EWMA of runs that T² does not reject, begun anew where it was restarted."""
         kept = shewhart.p_joint >= self.design.alpha
         after = np.array([restarted is not None and run.when >= restarted for run in runs], dtype=bool)
@@ -366,13 +368,13 @@ class _Judging:
             for column, own in zip(columns, (found.deviation, found.u, found.z, found.p), strict=True):
                 column[rows] = own
             joint[0][rows], joint[1][rows] = found.t2, found.p_joint
-        return Judged(*columns, *joint)
+        return JudgedDeviations(*columns, *joint)
 
-    def _judged(self, runs: Sequence[CheckRun], smoothing: float) -> Judged:
+    def _judged(self, runs: Sequence[CheckRun], smoothing: float) -> JudgedDeviations:
         p = len(COEFFICIENTS)
         if not runs:
             rows = np.zeros((0, p))
-            return Judged(rows, rows, rows, rows, np.zeros(0), np.zeros(0))
+            return JudgedDeviations(rows, rows, rows, rows, np.zeros(0), np.zeros(0))
         shared = np.concatenate([self.lines.error(runs), self._other_meters(runs)], axis=2)
         return judge(
             self.centre,
@@ -421,10 +423,10 @@ def _components(baseline: Sequence[CheckRun], pooled: _Pooled, lines: _Lines) ->
 def _drift(
     baseline: Sequence[CheckRun],
     later: Sequence[CheckRun],
-    shewhart: Judged,
+    shewhart: JudgedDeviations,
     centre: Centre,
     pooled: _Pooled,
-    design: Design,
+    design: ChartDesign,
 ) -> DriftSeen | None:
     """Return the drift that accepted runs show, from the baseline on; of few runs or a short time none."""
     kept = [run for run, p in zip(later, shewhart.p_joint, strict=True) if p >= design.alpha]

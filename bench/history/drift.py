@@ -15,7 +15,7 @@ from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
 from bench.history.comparison import LEAST_FOR_DRIFT, LEAST_SPAN, SECONDS_PER_YEAR
-from bench.history.equivalence import Measured
+from bench.history.equivalence import ComparedCalibrations
 
 Dates = NDArray[np.datetime64]
 
@@ -144,7 +144,7 @@ class OfUnit:
     notes: tuple[str, ...]
 
 
-def drift_of_unit(measured: Measured) -> OfUnit:
+def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
     """Return the drift of the one unit of a table. Raises `CalibrationError` for several, and as `unit_drift`."""
     units, benches = (sorted(set(labels.tolist())) for labels in (measured.unit, measured.bench))
     if len(units) > 1:

@@ -18,7 +18,7 @@ from bench.history.comparison import Joint, Snapshot, joint_covariances, joint_o
 from bench.model.geometry import COEFFICIENTS
 from bench.stats import holm
 from bench.stats.crossed_effects import Crossing
-from bench.stats.unit_histories import Histories, Spread, Within, histories, spread_of
+from bench.stats.unit_histories import CalibrationSpread, Histories, Within, histories, spread_of
 
 STANDARD_GRAVITY: Final = 9.80665
 """Scale factors of several places are compared per g of so many m/s^2."""
@@ -28,7 +28,7 @@ LEAST_OWN: Final = 1e-3
 
 
 @dataclass(frozen=True)
-class Measured:
+class ComparedCalibrations:
     """n calibrations: which `unit` of which `kind` (n,) on which `bench` (n,), and `when` (n,).
 
     `vector` (n, 12) in `signal`/g with g = `STANDARD_GRAVITY`, biases in `signal`, `covariance` (n, 12, 12) as
@@ -56,9 +56,9 @@ class Measured:
         """Return the number of calibrations."""
         return len(self.unit)
 
-    def of(self, kept: Mask | Ints) -> Measured:
+    def of(self, kept: Mask | Ints) -> ComparedCalibrations:
         """Return some of them."""
-        return Measured(
+        return ComparedCalibrations(
             self.unit[kept], self.kind[kept], self.bench[kept], self.when[kept], self.vector[kept],
             self.covariance[kept], self.meters[kept], self.signal, self.simulated,
         )  # fmt: skip
@@ -304,7 +304,7 @@ APART_P: Final = 0.05
 
 
 @dataclass(frozen=True)
-class Together:
+class JointDifference:
     """A vector of differences: `chi2` with `dof`; `p` of it alone, and of the largest of all looked at."""
 
     chi2: float
@@ -318,7 +318,9 @@ class Together:
         return self.p_all_looks < APART_P
 
 
-def together(differences: Floats, u: Floats, errors: Floats, of_errors: Floats) -> tuple[Together, ...]:
+def together(
+    differences: Floats, u: Floats, errors: Floats, of_errors: Floats
+) -> tuple[JointDifference, ...]:
     """Judge m vectors of differences (m, 12) with standard uncertainties `u` (m, 12).
 
     `errors` (m, 12, 12) are covariances of the errors of calibrations, which tell how coefficients are correlated;
@@ -334,7 +336,7 @@ def together(differences: Floats, u: Floats, errors: Floats, of_errors: Floats) 
     dof = differences.shape[1]
     p = np.asarray(special.chdtrc(dof, np.array(chi2)), dtype=np.float64)
     rows: Sequence[tuple[float, float, float]] = list(zip(chi2, p.tolist(), holm(p).tolist(), strict=True))
-    return tuple(Together(one, dof, alone, looks) for one, alone, looks in rows)
+    return tuple(JointDifference(one, dof, alone, looks) for one, alone, looks in rows)
 
 
 @dataclass(frozen=True)
@@ -350,8 +352,8 @@ class BenchComparison:
     alone: tuple[str, ...]
     found: tuple[Equivalence, ...]
     pairs: tuple[tuple[Pair, ...], ...]
-    together: tuple[Together, ...]
-    pairs_together: tuple[Together, ...]
+    together: tuple[JointDifference, ...]
+    pairs_together: tuple[JointDifference, ...]
     calibrations: int
     signal: str
     simulated: bool
@@ -370,7 +372,7 @@ class BenchComparison:
 
 
 def compare_benches(
-    measured: Measured, there: Sequence[Snapshot], method: str | None = None
+    measured: ComparedCalibrations, there: Sequence[Snapshot], method: str | None = None
 ) -> BenchComparison:
     """Hold benches against one another by calibrations of common units, `there` what was found in each.
 
@@ -404,7 +406,7 @@ def compare_benches(
 
 def _benches_together(
     taking: Sequence[Participants], found: Sequence[Equivalence], joint: Joint
-) -> tuple[Together, ...]:
+) -> tuple[JointDifference, ...]:
     """Judge the degrees of equivalence of each bench, in all coefficients."""
     degrees = np.stack([one.degree for one in found], axis=1)
     u = np.stack([one.u_degree for one in found], axis=1)
@@ -415,7 +417,7 @@ def _benches_together(
     return together(degrees, u, np.array([joint.of_sums(one) for one in maps]), own)
 
 
-def _pairs_together(by_coefficient: Sequence[Sequence[Pair]], joint: Joint) -> tuple[Together, ...]:
+def _pairs_together(by_coefficient: Sequence[Sequence[Pair]], joint: Joint) -> tuple[JointDifference, ...]:
     """Judge what the benches of each pair differ by, in all coefficients."""
     each = list(zip(*by_coefficient, strict=True))
     u = np.array([[pair.u for pair in one] for one in each])
@@ -447,7 +449,7 @@ class Capability:
     quantile: float
     stated: Floats
     stated_most: Floats
-    spreads: tuple[Spread, ...]
+    spreads: tuple[CalibrationSpread, ...]
     below: Floats
     counts: dict[str, Any]
     signal: str
@@ -475,7 +477,7 @@ class Capability:
         return COVERAGE_FACTOR * self.u
 
 
-def capability(measured: Measured, quantile: float = EVERYDAY) -> Capability:
+def capability(measured: ComparedCalibrations, quantile: float = EVERYDAY) -> Capability:
     """Return the capability that a laboratory's calibrations show.
 
     Raises `CalibrationError` with all that the history lacks where it is too short to say.
@@ -508,7 +510,7 @@ def capability(measured: Measured, quantile: float = EVERYDAY) -> Capability:
     return Capability(**{**shown.__dict__, "below": below.astype(float)})
 
 
-def _notes(found: tuple[Spread, ...], of: Histories, *, several: bool) -> tuple[str, ...]:
+def _notes(found: tuple[CalibrationSpread, ...], of: Histories, *, several: bool) -> tuple[str, ...]:
     runs = of.runs
     few = int(np.sum(runs < LEAST_RUNS))
     notes = []

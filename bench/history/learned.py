@@ -30,7 +30,7 @@ NEVER: Final = (
 
 
 @dataclass(frozen=True)
-class Size:
+class LearnedSize:
     """One learned size in `unit`, with its standard uncertainty and degrees of freedom."""
 
     name: str
@@ -129,26 +129,26 @@ class Learned:
         own = [f"{name}[{installation}]" if installation else name for name, installation in self.keys]
         return (*own, *WAVE_NAMES[: self.waves])
 
-    def sizes(self) -> Iterator[Size]:
+    def sizes(self) -> Iterator[LearnedSize]:
         """Yield every size: means, remounts, noise, setting error, drift, waves of the head."""
         u = np.sqrt(np.diag(self.covariance))
         for j, name in enumerate(self.names):
             told = j >= len(self.stated) or u[j] < HARDLY_BETTER * self.stated[j]
             label = name if j >= len(self.stated) else f"{name}.mean"
-            yield Size(
+            yield LearnedSize(
                 label, self.means[j] / ARCSEC, u[j] / ARCSEC, "arcsec", float(self.means_dof[j]), bool(told)
             )
         kinds = len(self.variances) - 3
         for v in self.variances[:kinds]:
-            yield Size(f"{v.name}.remount", v.size / ARCSEC, v.u / ARCSEC, "arcsec", v.dof, not v.held)
+            yield LearnedSize(f"{v.name}.remount", v.size / ARCSEC, v.u / ARCSEC, "arcsec", v.dof, not v.held)
         for j, channel in enumerate(CHANNELS):
             nu = float(self.noise_dof[j])
-            yield Size(f"noise[{channel}]", float(self.noise[j]), _u(self.noise[j], nu), self.unit, nu)
+            yield LearnedSize(f"noise[{channel}]", float(self.noise[j]), _u(self.noise[j], nu), self.unit, nu)
         nu = float(self.noise_dof[3])
         size = self.noise[3] / ARCSEC
-        yield Size("setting_error", float(size), _u(size, nu), "arcsec", nu)
+        yield LearnedSize("setting_error", float(size), _u(size, nu), "arcsec", nu)
         for v in self.variances[kinds:]:
-            yield Size(v.name, v.size, v.u, f"{self.unit}/sqrt(h)", v.dof)
+            yield LearnedSize(v.name, v.size, v.u, f"{self.unit}/sqrt(h)", v.dof)
         if not isinstance(self.meters, str):
             yield from self.meters.sizes()
 
@@ -286,7 +286,7 @@ class MeterDifferences:
             if first != b:
                 yield b, first
 
-    def sizes(self) -> Iterator[Size]:
+    def sizes(self) -> Iterator[LearnedSize]:
         """Yield the differences from the first meter of each group."""
         for what, contrasts, unit, scale in (
             ("gain", self.gain, "ppm", _PPM), ("offset", self.zero, "µV", _MICROVOLT)
@@ -294,7 +294,7 @@ class MeterDifferences:
             for b, a in self.pairs():
                 value, u = contrasts.difference(b, a)
                 dof = float(contrasts.freedom[b])
-                yield Size(f"voltmeter_{what}[{b + 1}-{a + 1}]", value / scale, u / scale, unit, dof)
+                yield LearnedSize(f"voltmeter_{what}[{b + 1}-{a + 1}]", value / scale, u / scale, unit, dof)
 
     def words(self) -> Iterator[str]:
         """Yield which meter has which number, and what it read."""

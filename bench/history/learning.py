@@ -16,9 +16,9 @@ from bench.calibration.result import CalibrationError
 from bench.history.learned import Contradiction, Learned, Variance
 from bench.history.run_sums import (
     SEEN,
-    Body,
     Layout,
     RunFit,
+    RunSums,
     between_runs,
     body_of,
     known_noise,
@@ -56,7 +56,7 @@ class Beliefs:
 
 
 @dataclass(frozen=True)
-class At:
+class LikelihoodPoint:
     """The likelihood at some variances: value, score (k,), information (k, k), means (m,) with covariance (m, m).
 
     The waves of the head stand behind the means.
@@ -78,7 +78,7 @@ class Weighed:
     columns: int
 
     @classmethod
-    def of(cls, body: Body, theta: Floats, means: int) -> Weighed:
+    def of(cls, body: RunSums, theta: Floats, means: int) -> Weighed:
         """Weigh for variances (k,)."""
         c = body.columns
         gram = body.by_mean(means)
@@ -105,7 +105,7 @@ class Weighed:
         return covariance @ right, covariance
 
 
-def at(body: Body, theta: Floats, beliefs: Beliefs) -> At:
+def at(body: RunSums, theta: Floats, beliefs: Beliefs) -> LikelihoodPoint:
     """Return the likelihood of variances (k,), in stated units; `beliefs` of the means, waves without a prior."""
     c, m = body.columns, len(beliefs.precision)
     weighed = Weighed.of(body, theta, m)
@@ -125,11 +125,11 @@ def at(body: Body, theta: Floats, beliefs: Beliefs) -> At:
     spread = np.where(held, beliefs.spread, 1.0)
     off = np.where(held, (theta - np.where(held, beliefs.centre, 0.0)) / spread, 0.0)
     information[np.diag_indices_from(information)] += np.where(held, spread**-2.0, 0.0)
-    return At(value + float(off @ off), score - off / spread, information, means, covariance)
+    return LikelihoodPoint(value + float(off @ off), score - off / spread, information, means, covariance)
 
 
 @dataclass(frozen=True)
-class Shared:
+class VarianceEstimate:
     """The variances (k,) of greatest restricted likelihood in stated units, and what goes with them.
 
     `information` (k, k) is the observed one, priors included; `at` the likelihood there.
@@ -137,16 +137,16 @@ class Shared:
 
     theta: Floats
     information: Floats
-    at: At
+    at: LikelihoodPoint
 
 
-def maximise(body: Body, beliefs: Beliefs, start: Floats | None = None) -> Shared:
+def maximise(body: RunSums, beliefs: Beliefs, start: Floats | None = None) -> VarianceEstimate:
     """Return the variances of greatest likelihood, none below zero, with the observed information."""
     theta = fitted(body, beliefs, start)
-    return Shared(theta, observed_information(body, theta, beliefs), at(body, theta, beliefs))
+    return VarianceEstimate(theta, observed_information(body, theta, beliefs), at(body, theta, beliefs))
 
 
-def fitted(body: Body, beliefs: Beliefs, start: Floats | None = None) -> Floats:
+def fitted(body: RunSums, beliefs: Beliefs, start: Floats | None = None) -> Floats:
     """Return the variances (k,) of greatest likelihood alone, by scoring in relative steps."""
     theta = np.full(len(beliefs.centre), START) if start is None else np.maximum(start, 100 * LEAST)
     best, damping = at(body, theta, beliefs), 0.0
@@ -165,7 +165,7 @@ def fitted(body: Body, beliefs: Beliefs, start: Floats | None = None) -> Floats:
     return theta
 
 
-def observed_information(body: Body, theta: Floats, beliefs: Beliefs) -> Floats:
+def observed_information(body: RunSums, theta: Floats, beliefs: Beliefs) -> Floats:
     """Return minus the second derivatives of ln L (k, k) by differences of the score."""
     k = len(theta)
     information = np.zeros((k, k))
@@ -190,7 +190,7 @@ FIT: Final = "what it leaves beyond the scatter of its repeats"
 SCATTER: Final = "the scatter of its repeats"
 
 
-def odd_runs(runs: list[RunFit], body: Body, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
+def odd_runs(runs: list[RunFit], body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
     """Return for every run and question how odd it is, p with all looks counted, the oddest first."""
     found = [*_angles(body, theta, beliefs), *_fit(body, at(body, theta, beliefs).means), *_scatter(runs)]
     found.sort(key=lambda one: one.p)
@@ -198,7 +198,7 @@ def odd_runs(runs: list[RunFit], body: Body, theta: Floats, beliefs: Beliefs) ->
     return [replace(one, p=p) for one, p in zip(found, adjusted.tolist(), strict=True)]
 
 
-def _angles(body: Body, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
+def _angles(body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
     found = []
     weighed = Weighed.of(body, theta, len(beliefs.precision))
     for r, name in enumerate(body.names):
@@ -215,7 +215,9 @@ def _angles(body: Body, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
     return found
 
 
-def _angle_test(body: Body, r: int, theta: Floats, means: Floats, covariance: Floats) -> tuple[float, float]:
+def _angle_test(
+    body: RunSums, r: int, theta: Floats, means: Floats, covariance: Floats
+) -> tuple[float, float]:
     """Return chi-square over its freedom, and p, of what a run tells of its angles by what the others predict."""
     c = body.columns
     own = np.flatnonzero(body.mean[r] >= 0)
@@ -234,7 +236,7 @@ def _angle_test(body: Body, r: int, theta: Floats, means: Floats, covariance: Fl
     return chi2 / freedom, float(special.fdtrc(freedom, max(len(body.names) - 1, 1), chi2 / freedom))
 
 
-def _fit(body: Body, means: Floats) -> list[Contradiction]:
+def _fit(body: RunSums, means: Floats) -> list[Contradiction]:
     """Return how much each run leaves beyond its repeats, by the others, the head's waves taken off."""
     waves = means[len(means) - body.waves :]
     c = body.columns
@@ -285,13 +287,13 @@ class Agreed:
     """Runs that agree, with their noise (4,) and their sums; those that do not, the oddest first."""
 
     runs: list[RunFit]
-    body: Body
+    body: RunSums
     noise: Floats
     contradicting: tuple[Contradiction, ...]
     most: bool
 
 
-def agreed(runs: list[RunFit], body: Body, noise: Floats, beliefs: Beliefs, layout: Any) -> Agreed:
+def agreed(runs: list[RunFit], body: RunSums, noise: Floats, beliefs: Beliefs, layout: Any) -> Agreed:
     """Leave out runs that contradict the others, the oddest first, one at a time."""
     named: list[Contradiction] = []
     kept = list(runs)
@@ -357,7 +359,7 @@ def learn(
     )
 
 
-def told_by_runs(body: Body, layout: Layout, free: Beliefs) -> tuple[Beliefs, dict[str, str]]:
+def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs, dict[str, str]]:
     """Return the beliefs with those variances held that the runs do not tell, and why, by kind.
 
     Of several that only show together the ones of the smallest stated size are held, so that the others are told.
@@ -383,13 +385,13 @@ def _holding(beliefs: Beliefs, layout: Layout, j: int) -> Beliefs:
     return Beliefs(np.where(own, MEANS_OF_HELD, beliefs.precision), centre, spread)
 
 
-def _shown(body: Body, j: int) -> bool:
+def _shown(body: RunSums, j: int) -> bool:
     """Whether any run determines an angle better than it was stated."""
     own = np.diagonal(body.gram[:, : body.columns, : body.columns], axis1=1, axis2=2)[body.random == j]
     return bool(np.max(own, initial=0.0) > SHOWN)
 
 
-def _untold(body: Body, theta: Floats, beliefs: Beliefs, layout: Layout) -> dict[int, str]:
+def _untold(body: RunSums, theta: Floats, beliefs: Beliefs, layout: Layout) -> dict[int, str]:
     """Return the kinds whose variance these runs do not determine, with the reason."""
     information = at(body, theta, beliefs).information
     k = len(layout.kinds)
@@ -405,7 +407,7 @@ def _untold(body: Body, theta: Floats, beliefs: Beliefs, layout: Layout) -> dict
     return found
 
 
-def _why(body: Body, j: int, layout: Layout) -> str:
+def _why(body: RunSums, j: int, layout: Layout) -> str:
     """Return why an angle is not determined: which others it cannot be separated from, if any."""
     together = set()
     for gram, random in zip(body.gram, body.random, strict=True):
@@ -424,7 +426,8 @@ def _why(body: Body, j: int, layout: Layout) -> str:
 
 
 def _learned(
-    runs: list[RunFit], layout: Layout, shared: Shared, beliefs: Beliefs, reasons: dict[str, str], noise: Floats,
+    runs: list[RunFit], layout: Layout, shared: VarianceEstimate, beliefs: Beliefs, reasons: dict[str, str],
+    noise: Floats,
     contradicting: tuple[object, ...], *, most: bool,
 ) -> Learned:  # fmt: skip
     body = body_of(runs, noise, layout)
@@ -471,7 +474,7 @@ def _learned(
     )
 
 
-def variances_of(shared: Shared) -> Floats:
+def variances_of(shared: VarianceEstimate) -> Floats:
     """Return the covariance (k, k) of the variances; one at its lower end hangs together with no other."""
     k = len(shared.theta)
     inside = np.flatnonzero(shared.theta > 1e-6)
@@ -487,7 +490,7 @@ def variances_of(shared: Shared) -> Floats:
     return spread
 
 
-def means_dof(body: Body, theta: Floats, beliefs: Beliefs, spread: Floats) -> Floats:
+def means_dof(body: RunSums, theta: Floats, beliefs: Beliefs, spread: Floats) -> Floats:
     """Return degrees of freedom (m + waves,) of the variances of the means, by Satterthwaite's approximation.
 
     2 c^2 / (g^T W g), c the variance of a mean, g its slope by the variances, W (k, k) their covariance. Source:

@@ -14,7 +14,7 @@ from bench.base.arrays import HOUR, Floats, Ints, rms
 from bench.calibration import gls
 from bench.calibration.calibrate import first_guess, usable_rows
 from bench.calibration.design import FIXED, Problem, make_problem
-from bench.calibration.noise import KnownNoise, Scatter, repeat_groups, scatter_of_repeats, whiten
+from bench.calibration.noise import KnownNoise, RepeatScatter, repeat_groups, scatter_of_repeats, whiten
 from bench.calibration.result import CalibrationError, Noise
 from bench.model.conditions import Conditions
 from bench.model.forward import ForwardModel
@@ -49,7 +49,7 @@ class RunFit:
     slope: Floats
     waves: Floats
     walk: Floats
-    scatter: Scatter
+    scatter: RepeatScatter
     floor: float
     unit: str
 
@@ -123,7 +123,7 @@ def _walk(conditions: Conditions) -> Floats:
 
 
 @dataclass(frozen=True)
-class Body:
+class RunSums:
     """Runs as sums, all of one shape: `gram` (runs, w, w) of W = (B, H, y), zero where a run has fewer columns.
 
     `random` (runs, c) says which variance each column of B has, -1 for none; `mean` (runs, c) which mean it is
@@ -170,10 +170,10 @@ class Body:
         """Results of these sums that are asked for again and again."""
         return {}
 
-    def without(self, left_out: Sequence[int]) -> Body:
+    def without(self, left_out: Sequence[int]) -> RunSums:
         """Return the body of all other runs."""
         kept = [i for i in range(len(self.names)) if i not in set(left_out)]
-        return Body(
+        return RunSums(
             tuple(self.names[i] for i in kept), self.gram[kept], self.random[kept], self.mean[kept], self.waves,
             self.chi2[kept], self.dof[kept],
         )  # fmt: skip
@@ -214,14 +214,14 @@ class Layout:
         return self.means.index(pair if pair in self.means else (pair[0], ""))
 
 
-def body_of(runs: Sequence[RunFit], variances: Floats, layout: Layout) -> Body:
+def body_of(runs: Sequence[RunFit], variances: Floats, layout: Layout) -> RunSums:
     """Return the sums of runs for noise variances (4,) or (runs, 4) of x, y, z (unit^2) and the setting (rad^2)."""
     width = max(len(run.angles) for run in runs) + 3 * WALKS
     waves = 2 * WAVES if layout.waves else 0
     every = np.broadcast_to(variances, (len(runs), 4))
     sums = [_sums(run, own, layout, width, waves) for run, own in zip(runs, every, strict=True)]
     grams, random, mean, chi2, dof = zip(*sums, strict=True)
-    return Body(
+    return RunSums(
         tuple(run.name for run in runs), np.stack(grams), np.stack(random), np.stack(mean), waves,
         np.array(chi2), np.array(dof),
     )  # fmt: skip

@@ -148,7 +148,7 @@ Stamp = tuple[tuple[int, int, int] | None, ...]
 
 
 @dataclass(frozen=True)
-class Row:
+class RunRow:
     """A run in the table; `state` is a word or two, `detail` what is wrong with a damaged record."""
 
     name: str
@@ -184,9 +184,9 @@ class RunsTable:
         self._clock = clock or SystemClock()
         self._digests = Digests(folder.path)
         self._reading = threading.Lock()
-        self._kept: dict[str, tuple[Stamp, Row]] = {}
+        self._kept: dict[str, tuple[Stamp, RunRow]] = {}
 
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[RunRow]:
         """Return all rows; of runs that take too long to read for now what stands in their manifest."""
         until_s = self._clock.now_s() + LONGEST_LOOK_S
         found = []
@@ -214,7 +214,7 @@ class RunsTable:
         with self._reading:
             self._digests.save()
 
-    def _read(self, run: Run, stamp: Stamp, *, wait: bool) -> Row:
+    def _read(self, run: Run, stamp: Stamp, *, wait: bool) -> RunRow:
         """Read a run, unless others are being read and nobody waits for that.
 
         One that is being carried out is told by the end of its record, which may be a long one.
@@ -239,21 +239,21 @@ class RunsTable:
         return row
 
 
-def _now(folder: RunsFolder, row: Row) -> Row:
+def _now(folder: RunsFolder, row: RunRow) -> RunRow:
     """Return a row that was kept as it is now: another program may have taken the run up without a line yet."""
     if row.to_go_on and is_being_written(folder.path / row.name):
         return replace(row, state=state_at_the_end(folder.path / row.name), to_go_on="")
     return row
 
 
-def _of_manifest(run: Run) -> Row:
+def _of_manifest(run: Run) -> RunRow:
     try:
         manifest: Mapping[str, Any] = run.manifest
     except RecordError:
-        return Row(run.name)
+        return RunRow(run.name)
     unit = manifest.get("unit_under_test")
     told = unit if isinstance(unit, dict) else {}
-    return Row(
+    return RunRow(
         name=run.name,
         created=str(manifest.get("created", "")),
         instruments="simulated"

@@ -105,7 +105,7 @@ MOST_AT_ONCE: Final = 2
 
 
 @dataclass(frozen=True)
-class Wanted:
+class WantedRun:
     """The run that somebody wants: fields of `RunRequest` as the form sent them, and what they were checked with.
 
     Procedure and bench are absolute paths, `sha256` the hash of each. A dry run is practice: a person answers.
@@ -123,7 +123,7 @@ class Wanted:
     def _files(self) -> tuple[object, object]:
         return self.request.procedure, self.request.bench
 
-    def hashed(self) -> Wanted:
+    def hashed(self) -> WantedRun:
         """Return it with the hashes of its files as they are now. Raises `Refusal`."""
         return replace(self, sha256=self._hashes())
 
@@ -142,7 +142,7 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Found:
+class TrialResult:
     """What check and dry run found. `stage` is "checking", "trying" or "done".
 
     `check` are the findings as `bench check --json` has them, `mistakes` what keeps the files from being read;
@@ -176,15 +176,15 @@ class WishFolder:
         """Its name, as addresses have it."""
         return self.path.name
 
-    def wanted(self) -> Wanted:
+    def wanted(self) -> WantedRun:
         """Return what is wanted. Raises `Refusal`."""
-        return Wanted(**self._read(WISH))
+        return WantedRun(**self._read(WISH))
 
-    def found(self) -> Found:
+    def found(self) -> TrialResult:
         """Return what was found so far. Raises `Refusal`."""
-        return Found(**self._read(FOUND))
+        return TrialResult(**self._read(FOUND))
 
-    def tell(self, found: Found) -> None:
+    def tell(self, found: TrialResult) -> None:
         """Keep what was found so far."""
         write_whole(self.path / FOUND, to_text(asdict(found)))
 
@@ -237,7 +237,7 @@ class Wishes:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
-    def new(self, wanted: Wanted) -> WishFolder:
+    def new(self, wanted: WantedRun) -> WishFolder:
         """Keep a wish and return its folder. Raises `Refusal` where too many are being tried."""
         self._folder.mkdir(mode=0o700, exist_ok=True)
         before = [one for one in self._folder.iterdir() if one.is_dir()]
@@ -250,7 +250,7 @@ class Wishes:
         wish = WishFolder(self._folder / secrets.token_hex(6))
         wish.path.mkdir(mode=0o700)
         write_whole(wish.path / WISH, to_text(asdict(wanted)))
-        wish.tell(Found())
+        wish.tell(TrialResult())
         return wish
 
     def of(self, wish_id: str) -> WishFolder:
@@ -278,7 +278,7 @@ def arguments_of(request: RunRequest) -> Iterator[str]:
             yield from (f"{flag}={text}" for text in (value if isinstance(value, list) else [value]))
 
 
-def name_of(wanted: Wanted, runs: RunsFolder) -> str:
+def name_of(wanted: WantedRun, runs: RunsFolder) -> str:
     """Return the name of a run to be started, one that no run has. Raises `Refusal`."""
     stem = re.sub(r"[^\w.+-]", "-", Path(wanted.request.procedure).stem)
     name = wanted.request.name or f"{stem}-{utc_now().astimezone():%Y%m%d-%H%M%S}"
@@ -427,7 +427,7 @@ def main() -> None:
         wish.tell(found)
 
 
-def checked(wanted: Wanted, folder: Path) -> Found:
+def checked(wanted: WantedRun, folder: Path) -> TrialResult:
     """Return the findings of `bench check`; with what the dry run would refuse, it is not tried."""
     from bench.services.requests.planning import Check
     from bench.services.until import look_ahead
@@ -435,11 +435,11 @@ def checked(wanted: Wanted, folder: Path) -> Found:
     try:
         findings = look_ahead(Check(str(wanted.request.procedure), bench=wanted.request.bench, runs=folder))
     except (Refused, FileMistakes) as mistakes:
-        return Found("done", mistakes=str(mistakes))
-    return Found("trying" if findings.can_be_tried else "done", check=findings.result.to_dict())
+        return TrialResult("done", mistakes=str(mistakes))
+    return TrialResult("trying" if findings.can_be_tried else "done", check=findings.result.to_dict())
 
 
-def tried(wish: WishFolder, found: Found) -> Found:
+def tried(wish: WishFolder, found: TrialResult) -> TrialResult:
     """Return what a dry run came to."""
     log, result = wish.path / "dry-run.log", wish.path / "dry-run.json"
     trial = replace(wish.wanted().request, dry_run=True, name="trial", runs=wish.path / "runs", operator="")

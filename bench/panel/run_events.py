@@ -25,7 +25,7 @@ from bench.run.events import (
 )
 from bench.run.person import AskedPrompt
 from bench.run.record import parse_line
-from bench.run.resume import Progress
+from bench.run.resume import PlanProgress
 
 MOST_LAST: Final = 40
 """So many of the last events are told."""
@@ -38,7 +38,7 @@ _STOPPED: Final = frozenset(
 
 
 @dataclass
-class Seen:
+class RunView:
     """A run as its events tell it.
 
     `step` is the one begun and not done yet, with the event of its beginning, `turn` the turn begun last
@@ -48,7 +48,7 @@ class Seen:
 
     plan: Plan
     state: RunState = RunState.READY
-    progress: Progress = field(default_factory=Progress)
+    progress: PlanProgress = field(default_factory=PlanProgress)
     events: int = 0
     latest: Event | None = None
     step: Event | None = None

@@ -16,7 +16,7 @@ from bench.config.procedure.plan import Mount, Read, Settle, Step, Turn, Wait
 from bench.config.procedure.steps import precision_in_words
 from bench.model.geometry import Installation
 from bench.panel.mounting_drawing import mounting, turn
-from bench.panel.run_events import Seen
+from bench.panel.run_events import RunView
 from bench.readings.reading import Reading
 from bench.run.events import ENDED, Event, RunState
 from bench.run.person import REASON, AskedPrompt
@@ -27,7 +27,7 @@ from drivers.angles import format_dms
 from drivers.person import PromptKind
 
 
-def prompt_of(asked: AskedPrompt, seen: Seen, installations: Mapping[str, Installation]) -> dict[str, Any]:
+def prompt_of(asked: AskedPrompt, seen: RunView, installations: Mapping[str, Installation]) -> dict[str, Any]:
     """Return a question.
 
     `id`, `kind`, `text`, `default`, `unit`, `choices`, `minimum`, `maximum`, `picture` as it was put; `do`,
@@ -123,7 +123,7 @@ class About:
 
 
 def snapshot(
-    seen: Seen, about: About, time_left: TimeLeft, asked: AskedPrompt | None, *, alive: bool, now: datetime
+    seen: RunView, about: About, time_left: TimeLeft, asked: AskedPrompt | None, *, alive: bool, now: datetime
 ) -> dict[str, Any]:
     """Return what is told of a run, of which the question `asked` waits; the keys are said above."""
     latest = seen.latest
@@ -159,7 +159,7 @@ def snapshot(
     }
 
 
-def _doing(seen: Seen, *, alive: bool) -> str:
+def _doing(seen: RunView, *, alive: bool) -> str:
     """Say in a sentence what is being done."""
     match seen.state:
         case RunState.FINISHED | RunState.ABORTED:
@@ -178,7 +178,7 @@ def _doing(seen: Seen, *, alive: bool) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _where(seen: Seen, time_left: TimeLeft) -> dict[str, Any]:
+def _where(seen: RunView, time_left: TimeLeft) -> dict[str, Any]:
     step = _step_at(seen)
     left_s = None
     if seen.step is not None:
@@ -198,7 +198,7 @@ def _where(seen: Seen, time_left: TimeLeft) -> dict[str, Any]:
     }
 
 
-def _step_at(seen: Seen) -> Step | None:
+def _step_at(seen: RunView) -> Step | None:
     """Return the step by which the place is told: a wait is between its turn and its reading."""
     if seen.step is None:
         return None
@@ -208,7 +208,7 @@ def _step_at(seen: Seen) -> Step | None:
     return None
 
 
-def _angle(seen: Seen) -> dict[str, Any] | None:
+def _angle(seen: RunView) -> dict[str, Any] | None:
     if seen.turn is None:
         return None
     step = seen.plan.steps[seen.turn.step]
@@ -234,7 +234,7 @@ def _angle(seen: Seen) -> dict[str, Any] | None:
     return told
 
 
-def _reading(seen: Seen) -> dict[str, Any] | None:
+def _reading(seen: RunView) -> dict[str, Any] | None:
     if seen.taken is None:
         return None
     event, reading = seen.taken
@@ -269,7 +269,7 @@ def _channel(reading: Reading, i: int) -> dict[str, Any]:
     }
 
 
-def _rest(seen: Seen) -> str:
+def _rest(seen: RunView) -> str:
     """Say how long what was waited for last took to come to rest."""
     if seen.rest is None:
         return ""
@@ -277,7 +277,7 @@ def _rest(seen: Seen) -> str:
     return f"{step.what} settled after {duration(rest.settled_s)}, within {precision_in_words(step)}"
 
 
-def _chamber(seen: Seen) -> dict[str, Any]:
+def _chamber(seen: RunView) -> dict[str, Any]:
     known = seen.chamber
     window = None
     if (
@@ -295,7 +295,7 @@ def _chamber(seen: Seen) -> dict[str, Any]:
     }
 
 
-def _soak(seen: Seen, about: About) -> dict[str, Any] | None:
+def _soak(seen: RunView, about: About) -> dict[str, Any] | None:
     """Return the clock of what is being waited for; of a settling the longest that it may take."""
     if (waiting := seen.waiting) is None or seen.latest is None:
         return None
@@ -340,7 +340,7 @@ def _answer(event: Event) -> dict[str, Any]:
     }
 
 
-def _line(event: Event, seen: Seen) -> dict[str, Any]:
+def _line(event: Event, seen: RunView) -> dict[str, Any]:
     by = " ".join(str(event.data[name]) for name in ("by", "role", "where") if event.data.get(name))
     try:
         words = in_words(event, seen.plan)

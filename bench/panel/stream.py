@@ -17,7 +17,7 @@ from bench.base.numbers import without_infinity
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.config.procedure.plan import Mount, Plan, Read
-from bench.panel.run_events import Seen, Tail
+from bench.panel.run_events import RunView, Tail
 from bench.panel.run_state import About, snapshot
 from bench.readings.reading import Reading
 from bench.run.early_warning import watcher_of
@@ -35,19 +35,19 @@ COVERAGE: Final = 2.0
 
 
 @dataclass(frozen=True)
-class Points:
-    """Points as they were at a moment, see `Residuals`; `version` changes with those that stood before."""
+class PlottedPoints:
+    """Points as they were at a moment, see `ResidualPlot`; `version` changes with those that stood before."""
 
     version: int = 0
     points: tuple[dict[str, Any], ...] = ()
 
-    def since(self, told: Points) -> dict[str, Any]:
+    def since(self, told: PlottedPoints) -> dict[str, Any]:
         """Return what is to be sent to who was told these: from which place on which points stand, and k."""
         begin = len(told.points) if told.version == self.version else 0
         return {"from": begin, "k": COVERAGE, "points": self.points[begin:]}
 
 
-class Residuals:
+class ResidualPlot:
     """Judges the readings of a run; `points` are told to those who look.
 
     A point: `n` of its event, `step`, `installation`, `series`, `pass`, `point`, `angle_deg`, `time_s`, per
@@ -147,10 +147,10 @@ class Follower:
         self._folder = folder
         self._clock = clock or SystemClock()
         self._tail = Tail(folder)
-        self._seen = Seen(run.plan)
+        self._seen = RunView(run.plan)
         with knowing_effects_on_record(run):
             bench = load_bench(folder / BENCH)
-        self._residuals = Residuals(run.plan, bench)
+        self._residuals = ResidualPlot(run.plan, bench)
         supply = bench.unit_under_test.supply
         step_s = [run.plan.step_duration_s(step, bench.line_frequency, supply) for step in run.plan.steps]
         self._time_left = TimeLeft(step_s)
@@ -215,9 +215,9 @@ class Follower:
         """What changes with the points: how often those before were changed, and how many there are."""
         return self._residuals.version, len(self._residuals.points)
 
-    def points(self) -> Points:
+    def points(self) -> PlottedPoints:
         """Return the readings against their predictions as they are now."""
-        return Points(self._residuals.version, tuple(self._residuals.points))
+        return PlottedPoints(self._residuals.version, tuple(self._residuals.points))
 
     def _look_for_writer(self, *, at_once: bool) -> bool:
         """Look now and then, or at once, whether the run is carried out; say whether that has changed."""
@@ -247,7 +247,7 @@ def as_event(name: str, data: Any) -> bytes:
     return f"event: {name}\ndata: {text}\n\n".encode()
 
 
-class Shared:
+class SharedFollower:
     """A follower in the background of an event loop: it reads in a thread, and wakes those who look.
 
     `state` is the snapshot as it was last, `trouble` why there is none.
@@ -259,7 +259,7 @@ class Shared:
         self._news = asyncio.Event()
         self._added: dict[str, Any] = {}
         self.version = 0
-        self.points = Points()
+        self.points = PlottedPoints()
         self.state: dict[str, Any] = {}
         self.sent_state = b""
         self.trouble = ""
@@ -332,7 +332,7 @@ class Followers:
 
     def __init__(self, add: Add = lambda folder: {}) -> None:
         self._add = add
-        self._shared: dict[Path, Shared] = {}
+        self._shared: dict[Path, SharedFollower] = {}
 
     async def state(self, folder: Path) -> dict[str, Any]:
         """Return the snapshot of a run. Raises `RecordError` where it cannot be read."""
@@ -354,7 +354,7 @@ class Followers:
         """Yield server-sent events of a run as long as they are taken. Raises `RecordError` before the first."""
         shared = await self._of(folder)
         try:
-            told, sent = Points(), b""
+            told, sent = PlottedPoints(), b""
             while True:
                 if shared.trouble:
                     yield as_event("trouble", {"words": shared.trouble})
@@ -377,10 +377,10 @@ class Followers:
             shared.stop()
         self._shared.clear()
 
-    async def _of(self, folder: Path) -> Shared:
+    async def _of(self, folder: Path) -> SharedFollower:
         shared = self._shared.get(folder)
         if shared is None or shared.trouble:
-            shared = self._shared[folder] = Shared(folder, self._add)
+            shared = self._shared[folder] = SharedFollower(folder, self._add)
         shared.watchers += 1
         try:
             await shared.ready()
@@ -391,13 +391,13 @@ class Followers:
             raise
         return shared
 
-    def _leave(self, folder: Path, shared: Shared) -> None:
+    def _leave(self, folder: Path, shared: SharedFollower) -> None:
         shared.watchers -= 1
         if shared.watchers == 0:
             with suppress(RuntimeError):  # the loop has ended
                 asyncio.get_running_loop().call_later(LINGER_S, self._forget, folder, shared)
 
-    def _forget(self, folder: Path, shared: Shared) -> None:
+    def _forget(self, folder: Path, shared: SharedFollower) -> None:
         if shared.watchers == 0:
             shared.stop()
             if self._shared.get(folder) is shared:

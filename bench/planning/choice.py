@@ -20,7 +20,19 @@ from bench.calibration.noise import LEAST_REPEATS, whiten
 from bench.model.conditions import Mounting
 from bench.model.effects import AppliedEffect, Effect
 from bench.planning.optimal_design import Stand, whitened
-from bench.planning.pool import NO_GOAL, Aim, Design, Grid, Point, Pool, Reached, Site, Task, Visits, enough
+from bench.planning.pool import (
+    NO_GOAL,
+    Aim,
+    DesignTask,
+    Grid,
+    PlannedPoint,
+    Pool,
+    Reached,
+    Site,
+    VisitDesign,
+    Visits,
+    enough,
+)
 from bench.planning.requirements import Setting, conditions_of
 from bench.readings.table import Readings
 
@@ -58,7 +70,7 @@ class TimeOutlook:
 def time_outlook(chooser: Chooser, scale: float = 1.0, draws: int = DRAWS, seed: int = 1) -> TimeOutlook:
     """Draw runs at a noise of `scale` times what the bench file states."""
     rng = np.random.default_rng(seed)
-    known: dict[Any, Choice] = {}
+    known: dict[Any, NextPoints] = {}
     drawn = [_run(chooser, scale, rng, known) for _ in range(draws)]
     columns = np.array(drawn, dtype=np.float64).T
     pool = chooser.pool
@@ -67,7 +79,7 @@ def time_outlook(chooser: Chooser, scale: float = 1.0, draws: int = DRAWS, seed:
 
 
 def _run(
-    chooser: Chooser, scale: float, rng: np.random.Generator, known: dict[Any, Choice]
+    chooser: Chooser, scale: float, rng: np.random.Generator, known: dict[Any, NextPoints]
 ) -> tuple[float, float, bool]:
     """Draw a run; return its time, its settings, and whether it reached the goals."""
     standing = Standing()
@@ -97,11 +109,11 @@ def _run(
 
 
 def _after(
-    chooser: Chooser, before: Standing, choice: Choice, done: Counter[Site], sums: Any, spent_s: float
+    chooser: Chooser, before: Standing, choice: NextPoints, done: Counter[Site], sums: Any, spent_s: float
 ) -> Standing:
     """What the record says after a pass, the noise told to a grain."""
     chi2, dof = sums[0] + sums[1]
-    size = _grained(Scale(float(chi2), int(dof)).size)
+    size = _grained(NoiseScale(float(chi2), int(dof)).size)
     taken = before.taken | {point.steps[0] for point in choice.points}
     standing = Standing(choice.visit, taken, done, spent_s, _scale_of(size, int(dof)))
     told = sums[0] if sums[0][1] >= 3 * LEAST_REPEATS else sums[0] + sums[1]
@@ -135,9 +147,9 @@ def _grained(size: float) -> float:
     return float(np.exp(GRAIN * np.round(np.log(max(size, 1e-6)) / GRAIN)))
 
 
-def _scale_of(size: float, dof: int) -> Scale:
+def _scale_of(size: float, dof: int) -> NoiseScale:
     """Return the scale whose size is this."""
-    return Scale(size**2 * (BELIEVED + dof) - BELIEVED, dof)
+    return NoiseScale(size**2 * (BELIEVED + dof) - BELIEVED, dof)
 
 
 BELIEVED: Final = 6.0
@@ -148,7 +160,7 @@ SURE: Final = 0.8
 
 
 @dataclass(frozen=True)
-class Scale:
+class NoiseScale:
     """The noise in units of what the bench file states: `chi2` of `dof` signals beyond the unknowns."""
 
     chi2: float = 0.0
@@ -166,18 +178,18 @@ class Scale:
         return float(self.size * np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - SURE))))
 
 
-NOTHING_KNOWN: Final = Scale()
+NOTHING_KNOWN: Final = NoiseScale()
 """Before there is a reading: what the bench file states."""
 
 
-def scale_of(stand: Stand, readings: Readings) -> Scale:
+def scale_of(stand: Stand, readings: Readings) -> NoiseScale:
     """Return the noise in readings, from the residuals of a fit of block and stand.
 
     The readings need not determine the coefficients: those of one mounting have residuals, too.
     """
     own = readings.oriented()
     if not len(own):
-        return Scale()
+        return NoiseScale()
     rows, problem = whitened(stand, own.conditions())
     left = own.signal - problem.predict(stand.block, problem.prior_mean)
     response = whitened_response(stand, left, problem.slope(stand.block, problem.prior_mean))
@@ -188,7 +200,7 @@ def scale_of(stand: Stand, readings: Readings) -> Scale:
     solution = np.linalg.lstsq(whole, target, rcond=1e-9)[0]
     misfit = target - whole @ solution
     rank = int(np.linalg.matrix_rank(matrix[:, :FIXED], tol=1e-9 * float(np.linalg.norm(matrix))))
-    return Scale(float(misfit @ misfit), max(matrix.shape[0] - rank, 0))
+    return NoiseScale(float(misfit @ misfit), max(matrix.shape[0] - rank, 0))
 
 
 def whitened_response(stand: Stand, left: Floats, slope: Floats) -> Floats:
@@ -217,14 +229,14 @@ class Standing:
     taken: frozenset[int] = frozenset()
     done: Mapping[Site, int] = field(default_factory=Counter)
     elapsed_s: float = 0.0
-    scale: Scale = NOTHING_KNOWN
+    scale: NoiseScale = NOTHING_KNOWN
     reached: tuple[Reached, ...] = ()
     refused: frozenset[Site] = frozenset()
     refused_mounts: frozenset[Mounting] = frozenset()
     now: Mapping[Mounting, Mounting] | None = None
     apart: frozenset[Site] = frozenset()
 
-    def site_of(self, point: Point) -> Site:
+    def site_of(self, point: PlannedPoint) -> Site:
         """Return the site of a point as the block is mounted now."""
         mount = (self.now or {}).get(point.site.mount, point.site.mount)
         return point.site._replace(mount=mount)
@@ -236,7 +248,7 @@ class Standing:
 
 
 @dataclass(frozen=True)
-class Choice:
+class NextPoints:
     """What is done next: `points` of the mounting number `visit`; nothing, where `stop` says why.
 
     `left_out` are steps that are passed over and not needed, as it stands; a later choice may take some of
@@ -248,7 +260,7 @@ class Choice:
     """
 
     visit: int
-    points: tuple[Point, ...]
+    points: tuple[PlannedPoint, ...]
     left_out: frozenset[int]
     stop: str
     now: Reached | None
@@ -323,7 +335,7 @@ class Chooser:
         self.repeats = repeats
         self._grids: dict[frozenset[Site], Grid] = {}
 
-    def choose(self, standing: Standing) -> Choice:
+    def choose(self, standing: Standing) -> NextPoints:
         """Return what is done next, or why nothing more is."""
         task = self.task(standing)
         if stop := self._stop(standing, task):
@@ -342,7 +354,9 @@ class Chooser:
             return self._going_on(standing, task, design, here, points)
         return self._no_more(standing, task, USED_UP if self.aim.limit_s is None else TIME)
 
-    def _batch(self, standing: Standing, task: Task, design: Design, number: int) -> tuple[Point, ...]:
+    def _batch(
+        self, standing: Standing, task: DesignTask, design: VisitDesign, number: int
+    ) -> tuple[PlannedPoint, ...]:
         """The points of a visit that are measured next: each site that the design goes to once."""
         planned = zip(task.grid.sites, (design.counts - task.done).tolist(), strict=True)
         sites = {site for site, count in planned if count > 0}
@@ -355,7 +369,7 @@ class Chooser:
 
     # --- what there is ------------------------------------------------------------------------------
 
-    def open_points(self, number: int, standing: Standing) -> list[Point]:
+    def open_points(self, number: int, standing: Standing) -> list[PlannedPoint]:
         """The points of a visit that can still be measured."""
         visit = self.pool.visits[number]
         if number < standing.visit or visit.mount in standing.refused_mounts:
@@ -366,7 +380,7 @@ class Chooser:
             if point.steps[0] not in standing.taken and standing.site_of(point) not in standing.refused
         ]
 
-    def task(self, standing: Standing) -> Task:
+    def task(self, standing: Standing) -> DesignTask:
         """Return what a design is to be made from."""
         reads: dict[Site, int] = dict.fromkeys(standing.done, 1)
         seconds: dict[Site, float] = {}
@@ -382,7 +396,7 @@ class Chooser:
         if self.aim.limit_s is not None:
             limit_s = max(self.aim.limit_s - standing.elapsed_s - self._rest_s(standing), 0.0)
         visits = self.pool.visits[standing.visit + 1 :]
-        return Task(
+        return DesignTask(
             grid,
             self._goals(standing, grid, done),
             done,
@@ -414,7 +428,7 @@ class Chooser:
         ahead = tuple(wanted.ahead for wanted in self.aim.wanted)
         if not standing.reached:
             return ahead
-        task = Task(grid, ahead, done, done * 0, standing.scale.size, np.zeros(len(done)), {}, 0)
+        task = DesignTask(grid, ahead, done, done * 0, standing.scale.size, np.zeros(len(done)), {}, 0)
         foreseen = Visits(task.candidates, ahead, done, done, done).variances
         found = []
         for wanted, goal, model, now in zip(self.aim.wanted, ahead, foreseen, standing.reached, strict=True):
@@ -425,7 +439,7 @@ class Chooser:
 
     # --- what is chosen -----------------------------------------------------------------------------
 
-    def _stop(self, standing: Standing, task: Task) -> str:
+    def _stop(self, standing: Standing, task: DesignTask) -> str:
         """Say why nothing more is done; empty where something is."""
         if not np.any(task.left):
             return REACHED if self._is_reached(standing) else USED_UP
@@ -437,7 +451,7 @@ class Chooser:
     def _is_reached(self, standing: Standing) -> bool:
         return bool(standing.reached) and all(one.ratio <= 1.0 for one in standing.reached)
 
-    def _design(self, standing: Standing, task: Task) -> Design:
+    def _design(self, standing: Standing, task: DesignTask) -> VisitDesign:
         """The visits until the end; first those that distinguish possible explanations of a misfit."""
         if not standing.apart:
             return enough(task)
@@ -448,14 +462,19 @@ class Chooser:
         return replace(design, time_s=task.time_s(design.counts))
 
     def _going_on(
-        self, standing: Standing, task: Task, design: Design, number: int, points: tuple[Point, ...]
-    ) -> Choice:
+        self,
+        standing: Standing,
+        task: DesignTask,
+        design: VisitDesign,
+        number: int,
+        points: tuple[PlannedPoint, ...],
+    ) -> NextPoints:
         more = task.grid.counts(Counter(standing.site_of(point) for point in points))
         expected = replace(task, scale=standing.scale.size)
         next_s = sum(point.time_s for point in points)
         next_s += self.pool.visits[number].time_s if number > standing.visit else 0.0
         kept = frozenset(step for point in points for step in point.steps)
-        return Choice(
+        return NextPoints(
             number,
             points,
             self._passed_over(standing, number, points[-1].last) - kept,
@@ -488,7 +507,7 @@ class Chooser:
                 steps.update(visit.steps)
         return frozenset(steps)
 
-    def _foreseen(self, task: Task, counts: Ints) -> Reached | None:
+    def _foreseen(self, task: DesignTask, counts: Ints) -> Reached | None:
         """The worst goal after visits to the sites; None where these do not determine the coefficients."""
         visits = Visits(task.candidates, task.goals, counts, counts, counts)
         if not visits.determined:
@@ -502,11 +521,11 @@ class Chooser:
             key=lambda one: one.ratio,
         )
 
-    def _no_more(self, standing: Standing, task: Task, stop: str) -> Choice:
+    def _no_more(self, standing: Standing, task: DesignTask, stop: str) -> NextPoints:
         left = {s for p in self.pool.points if p.steps[0] not in standing.taken for s in p.steps}
         for visit in self.pool.visits[standing.visit + 1 :]:
             left.update(visit.steps)
-        return Choice(
+        return NextPoints(
             standing.visit,
             (),
             frozenset(left),

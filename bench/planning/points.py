@@ -102,7 +102,7 @@ def _kinds(model: ForwardModel, mounts: Sequence[Mounting], angle_rad: Floats) -
 
 
 @dataclass(frozen=True)
-class Points:
+class ChosenPoints:
     """Chosen test points: how often each angle is visited in each mounting, and what a calibration will sign."""
 
     visits: Mapping[Mounting, Mapping[float, int]]
@@ -193,7 +193,7 @@ _Found = tuple[tuple[int, ...], ExchangeDesign]
 
 def cheapest(
     stand: Stand, sites: Sites, goals: Sequence[Goal], cost: Cost, most_settings: int, most_mounts: int
-) -> Points:
+) -> ChosenPoints:
     """Return the points that reach all goals in the least expected time found.
 
     Raises `CalibrationError` where no choice of mountings reaches them, with the reason.
@@ -238,7 +238,7 @@ def _evenly(
     settings: Iterable[int],
     goals: Sequence[Goal],
     cost: Cost,
-) -> Points | None:
+) -> ChosenPoints | None:
     """Return the fewest evenly spread settings that reach all goals.
 
     The search knows what readings lower. Of what they do not, as K2 and K3, less goes through even points.
@@ -266,7 +266,7 @@ def _cheapest(
 
 def best_within(
     stand: Stand, sites: Sites, goals: Sequence[Goal], cost: Cost, time_s: float, most_mounts: int
-) -> Points:
+) -> ChosenPoints:
     """Return the points that come nearest to the goals within a time.
 
     Raises `CalibrationError` where it is too short for a calibration.
@@ -337,7 +337,7 @@ def _unreachable(
 
 def _points(
     stand: Stand, sites: Sites, chosen: Sequence[int], visited: Ints, goals: Sequence[Goal], cost: Cost
-) -> Points:
+) -> ChosenPoints:
     """The chosen points in order, with their covariance as the estimator itself has it."""
     counts = visited.reshape(len(chosen), len(sites.angle_rad))
     visits = {
@@ -346,7 +346,7 @@ def _points(
         if row.any()
     }
     settings = [s for mount, angles in visits.items() for s in _in_order(mount, angles)]
-    return Points(visits, stand.promise(settings, goals), cost)
+    return ChosenPoints(visits, stand.promise(settings, goals), cost)
 
 
 VERIFICATION_DEG: Final = (45, 135, 225, 315)

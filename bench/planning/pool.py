@@ -45,7 +45,7 @@ class Site(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Point:
+class PlannedPoint:
     """A turn with its readings: the steps of the plan, the site, the pass, the expected time.
 
     Where it is read several times the site is that of the first reading, and stands for all.
@@ -64,7 +64,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Visit:
+class PlannedMounting:
     """A mounting of the block with its points in the order of the plan.
 
     `mount_step` mounts it (None where it stays on), `steps` are the visit's own beside the points, which take
@@ -72,7 +72,7 @@ class Visit:
     """
 
     mount: Mounting
-    points: tuple[Point, ...]
+    points: tuple[PlannedPoint, ...]
     mount_step: int | None
     steps: tuple[int, ...]
     time_s: float
@@ -90,12 +90,12 @@ class Pool:
     `always_s` is the time of all else, `after_s` that of what follows on the last point.
     """
 
-    visits: tuple[Visit, ...]
+    visits: tuple[PlannedMounting, ...]
     always_s: float
     after_s: float
 
     @property
-    def points(self) -> tuple[Point, ...]:
+    def points(self) -> tuple[PlannedPoint, ...]:
         """All points in the order of the plan."""
         return tuple(point for visit in self.visits for point in visit.points)
 
@@ -144,7 +144,7 @@ def pool_of(plan: Plan, line_hz: float = 50.0) -> Pool:
     return Pool(visits, sum(other.values()), sum(s for i, s in other.items() if i >= end))
 
 
-def _points(plan: Plan, line_hz: float) -> list[Point]:
+def _points(plan: Plan, line_hz: float) -> list[PlannedPoint]:
     """Return the points; each ends with its last reading before the next turn."""
     turns = [i for i, step in enumerate(plan.steps) if isinstance(step, Turn)]
     found = []
@@ -164,7 +164,7 @@ def _points(plan: Plan, line_hz: float) -> list[Point]:
         first = reads[0][1]
         site = Site(mount, first.point, float(first.target_rad or 0.0), first.direction or 0)
         time_s = sum(plan.step_duration_s(plan.steps[i], line_hz) for i in steps)
-        found.append(Point(steps, tuple(i for i, _ in reads), site, first.pass_number, time_s))
+        found.append(PlannedPoint(steps, tuple(i for i, _ in reads), site, first.pass_number, time_s))
     return found
 
 
@@ -173,7 +173,7 @@ def _is_oriented(read: Read) -> bool:
     return known and read.target_rad is not None
 
 
-def _visits(plan: Plan, found: Sequence[Point], line_hz: float) -> tuple[Visit, ...]:
+def _visits(plan: Plan, found: Sequence[PlannedPoint], line_hz: float) -> tuple[PlannedMounting, ...]:
     visits = []
     for mount in dict.fromkeys(point.site.mount for point in found):
         own = tuple(point for point in found if point.site.mount == mount)
@@ -196,7 +196,7 @@ def _visits(plan: Plan, found: Sequence[Point], line_hz: float) -> tuple[Visit, 
             if i not in taken and isinstance(plan.steps[i], _LEFT_OUT_WITH_IT)
         )
         time_s = sum(plan.step_duration_s(plan.steps[i], line_hz) for i in steps)
-        visits.append(Visit(mount, own, mounted, steps, time_s))
+        visits.append(PlannedMounting(mount, own, mounted, steps, time_s))
     return tuple(visits)
 
 
@@ -206,7 +206,7 @@ NO_GOAL: Final = 1e-12
 
 
 @dataclass(frozen=True)
-class Wanted:
+class UntilGoal:
     """A goal, of the readings' own uncertainty or of the `combined` one; `hidden` is the variance of the latter's
     rest, which no reading lowers."""
 
@@ -229,7 +229,7 @@ class Wanted:
 class Aim:
     """All that is wanted, and the bench time at most, s."""
 
-    wanted: tuple[Wanted, ...]
+    wanted: tuple[UntilGoal, ...]
     limit_s: float | None = None
 
 
@@ -260,7 +260,7 @@ def reached_by(aim: Aim, readings: Floats, combined: Floats) -> tuple[Reached, .
 class Floor:
     """What no reading lowers: u of a goal that is asked for below it, and the largest parts by name."""
 
-    wanted: Wanted
+    wanted: UntilGoal
     u: float
     parts: tuple[tuple[str, float], ...]
 
@@ -415,7 +415,7 @@ class Visits(ExchangeDesign):
 
 
 @dataclass(frozen=True)
-class Task:
+class DesignTask:
     """What a design is made from: the grid, what was done and how often each site can still be visited.
 
     `scale` is the noise in units of what the bench file states, `site_s` (c,) the time of a visit to each site,
@@ -450,7 +450,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Design:
+class VisitDesign:
     """Visits (c,) to each site in the end, those done among them; whether the goals are reached then."""
 
     counts: Ints
@@ -459,7 +459,7 @@ class Design:
     variances: Floats
 
 
-def enough(task: Task) -> Design:
+def enough(task: DesignTask) -> VisitDesign:
     """Return the visits that reach the goals in the least time found; all that there is where nothing does.
 
     What time allows is the most that is taken.
@@ -479,7 +479,7 @@ def _of(grid: Grid, mount: Mounting) -> Ints:
     return np.flatnonzero(np.array([site.mount == mount for site in grid.sites], dtype=np.bool_))
 
 
-def _within(task: Task, ahead: Sequence[Mounting], chosen: Sequence[Mounting]) -> Design | None:
+def _within(task: DesignTask, ahead: Sequence[Mounting], chosen: Sequence[Mounting]) -> VisitDesign | None:
     """The design that goes to some of the mountings ahead; None where that can never be enough."""
     left = task.left.copy()
     for mount in ahead:
@@ -494,10 +494,10 @@ def _within(task: Task, ahead: Sequence[Mounting], chosen: Sequence[Mounting]) -
             design, _greedy(task, most, repeats, wide=False), key=lambda one: task.time_s(one.counts)
         )
     time_s = task.time_s(design.counts)
-    return None if time_s > task.limit_s else Design(design.counts, True, time_s, design.variances)
+    return None if time_s > task.limit_s else VisitDesign(design.counts, True, time_s, design.variances)
 
 
-def _greedy(task: Task, most: Ints, repeats: int, *, wide: bool) -> Visits:
+def _greedy(task: DesignTask, most: Ints, repeats: int, *, wide: bool) -> Visits:
     """Add what helps most until it is enough, then leave out what is not needed.
 
     Repeats are added last where the sites are to be as many as help (`wide`), else as soon as the coefficients are
@@ -512,12 +512,12 @@ def _greedy(task: Task, most: Ints, repeats: int, *, wide: bool) -> Visits:
     return design
 
 
-def _all_of(task: Task) -> Design:
+def _all_of(task: DesignTask) -> VisitDesign:
     """All that is left, or the best of it that the time allows: repeats are kept as far as it does."""
     most = task.done + task.left
     if task.time_s(most) <= task.limit_s:
         whole = Visits(task.candidates, task.goals, most, task.done, most)
-        return Design(most, False, task.time_s(most), whole.variances)
+        return VisitDesign(most, False, task.time_s(most), whole.variances)
     design = Visits(task.candidates, task.goals, task.done, task.done, most)
     needed = -(-(len(design.covariance()) + FIXED) // 3)
     while not design.is_full:
@@ -528,4 +528,4 @@ def _all_of(task: Task) -> Design:
         if task.time_s(design.counts) > task.limit_s:
             design.counts = before
             break
-    return Design(design.counts, False, task.time_s(design.counts), design.variances)
+    return VisitDesign(design.counts, False, task.time_s(design.counts), design.variances)

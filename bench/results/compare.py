@@ -14,7 +14,7 @@ from bench.base.numbers import fixed, places, probability, quantity, scale_for
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import table
 from bench.calibration.conformity import COVERAGE_FACTOR
-from bench.history.comparison import Changes, Comparison, Drift, Snapshot
+from bench.history.comparison import Changes, Comparison, DriftLines, Snapshot
 from bench.history.equivalence import STANDARD_GRAVITY, BenchComparison
 from bench.model.geometry import COEFFICIENTS
 from bench.results.fleet import MOST_SHOWN, FleetResult, limit_in_words, signed_size
@@ -120,7 +120,7 @@ def _changes(found: Changes) -> ChangesPart:
     )
 
 
-def _lines(drift: Drift) -> LinesPart:
+def _lines(drift: DriftLines) -> LinesPart:
     return LinesPart.from_object(
         drift,
         per_year=by_coefficient(

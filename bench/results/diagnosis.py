@@ -21,8 +21,8 @@ from bench.diagnosis.next_measurement import Separation
 from bench.diagnosis.pipeline import FullDiagnosis, MistakesAlone, Rival
 from bench.diagnosis.residual_model import UNNAMED_FORM
 from bench.diagnosis.result import Registration, Verdict
-from bench.diagnosis.show import SEED, CoefficientChange, Shown, Simulation
-from bench.diagnosis.where import Place
+from bench.diagnosis.show import SEED, CoefficientChange, ModelComparison, Simulation
+from bench.diagnosis.where import ResidualPattern
 from bench.model import CATALOGUE
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis_parts import (
@@ -141,7 +141,9 @@ class FoundResult(ResultModel):
     verdict: Verdict = Field(
         description="where several apply, the first of mistake, unknown, confounded, named"
     )
-    where: list[Place] = Field(description="patterns of the residuals that stand out, the largest first")
+    where: list[ResidualPattern] = Field(
+        description="patterns of the residuals that stand out, the largest first"
+    )
     effects: list[EffectPart] = Field(description="in the order in which they were added")
     hidden: list[str] = Field(description="effects that these readings could never show")
     hidden_parts: dict[str, list[str]] = Field(description="of some effects, the parts of which that is true")
@@ -328,7 +330,7 @@ def _copy_part(files: Files, mistakes: Sequence[Mistake], used: int, verdict: Ve
     )
 
 
-def _block_part(shown: Shown) -> BlockPart:
+def _block_part(shown: ModelComparison) -> BlockPart:
     return BlockPart(
         mountings=[str(mount) for mount in shown.before.calibration.fitted.conditions().mounts],
         coefficients=shown.coefficients,
@@ -466,7 +468,7 @@ def _form(diagnosis: Diagnosis, model: Path | None, out: Console) -> None:
         out.print(f"  to give it a name: bench accept {model} --name NAME --sentence TEXT")
 
 
-def _gap(diagnosis: Diagnosis, shown: Shown, out: Console) -> None:
+def _gap(diagnosis: Diagnosis, shown: ModelComparison, out: Console) -> None:
     gap, after = diagnosis.gap, shown.after
     if gap.opened:
         told = words.closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
@@ -495,7 +497,7 @@ def _gap(diagnosis: Diagnosis, shown: Shown, out: Console) -> None:
         out.print(f"  {typeset(line)}")
 
 
-def _consequence(shown: Shown, out: Console) -> None:
+def _consequence(shown: ModelComparison, out: Console) -> None:
     coefficients = shown.coefficients
     changed = [(name, one.in_u) for name, one in coefficients.items() if abs(one.in_u) >= LISTED_SHIFT]
     if not changed:

@@ -25,8 +25,8 @@ from bench.calibration.result import Calibration
 from bench.diagnosis import Diagnosis, NamedEffect
 from bench.diagnosis.gap import UNDETERMINED, Gap
 from bench.diagnosis.pipeline import FullDiagnosis, Rival
-from bench.diagnosis.show import SEED, ModulusPoint, Shown
-from bench.diagnosis.where import Place
+from bench.diagnosis.show import SEED, ModelComparison, ModulusPoint
+from bench.diagnosis.where import ResidualPattern
 from bench.model import CATALOGUE, Effect
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis_words import Files
@@ -113,7 +113,7 @@ def drawn(svg: str) -> Markup:
     return Markup(svg)  # noqa: S704 - our own drawing
 
 
-def _place(place: Place) -> Row:
+def _place(place: ResidualPattern) -> Row:
     where = "verification points" if place.channel == "modulus" else place.channel
     installation = "whole run" if place.installation == "all" else place.installation
     size = quantity(place.size, place.unit)
@@ -140,7 +140,7 @@ def _held_out(gap: Gap) -> list[Row]:
     ] + [Row(label, ("", "", "", f"no: {UNDETERMINED}")) for label in gap.undetermined]
 
 
-def _coefficients(shown: Shown) -> list[Row]:
+def _coefficients(shown: ModelComparison) -> list[Row]:
     changes, unit = shown.coefficients, shown.before.calibration.unit
     before = aligned([concise(one.before, one.u_before) for one in changes.values()])
     after = aligned([concise(one.after, one.u_after) for one in changes.values()])
@@ -155,7 +155,7 @@ def _coefficients(shown: Shown) -> list[Row]:
     return rows
 
 
-def _tests(shown: Shown) -> list[Row]:
+def _tests(shown: ModelComparison) -> list[Row]:
     rows = []
     unit = shown.before.calibration.unit
     for name, one in (("as it was given", shown.before), ("with what was found", shown.after)):
@@ -166,19 +166,19 @@ def _tests(shown: Shown) -> list[Row]:
     return rows
 
 
-def _drawn_of(shown: Shown) -> int:
+def _drawn_of(shown: ModelComparison) -> int:
     """Return of how many mountings there are figures: each takes a second, and nobody looks through sixty."""
     count = len(mounts_of(shown.before.calibration))
     return count if count <= MOST_DRAWN else DRAWN
 
 
-def _overlays(shown: Shown) -> tuple[list[Markup], list[Markup]]:
+def _overlays(shown: ModelComparison) -> tuple[list[Markup], list[Markup]]:
     """Return measured and simulated signals, of the mounting that tells most, and of others, folded away."""
     figures = [drawn(overlay_of_mount(shown, i)) for i in most_telling(shown)[: _drawn_of(shown)]]
     return figures[:1], figures[1:]
 
 
-def _residuals(shown: Shown) -> tuple[list[Markup], list[Markup]]:
+def _residuals(shown: ModelComparison) -> tuple[list[Markup], list[Markup]]:
     """Return the figures of the first mountings: those in full view, and those folded away."""
     mounts = mounts_of(shown.before.calibration)[: _drawn_of(shown)]
     figures = [drawn(residuals_of_mount(shown, i)) for i in range(len(mounts))]
@@ -202,7 +202,7 @@ MANY: Final = 3
 """From so many mountings on there is room for their labels alone."""
 
 
-def columns_of(shown: Shown) -> list[tuple[str, Calibration]]:
+def columns_of(shown: ModelComparison) -> list[tuple[str, Calibration]]:
     """Return what is drawn side by side: before, after, a simulated run; nothing after where nothing was named."""
     after = [] if shown.after is None else [("after", shown.after.calibration)]
     return [
@@ -212,13 +212,13 @@ def columns_of(shown: Shown) -> list[tuple[str, Calibration]]:
     ]
 
 
-def common_scale(shown: Shown) -> Scale:
+def common_scale(shown: ModelComparison) -> Scale:
     """Return the scale on which all residuals are drawn."""
     largest = max(float(np.max(np.abs(c.residuals))) for _, c in columns_of(shown))
     return scale_for(largest, shown.before.calibration.unit)
 
 
-def residuals_of_mount(shown: Shown, mount: int) -> str:
+def residuals_of_mount(shown: ModelComparison, mount: int) -> str:
     """Residuals against head angle in one mounting: a row for each channel, before and after side by side.
 
     The stand's angles are at their estimates. The band is two standard deviations of a single reading.
@@ -252,7 +252,7 @@ def residuals_of_mount(shown: Shown, mount: int) -> str:
     return svg_figure(f"diagnosis-mount-{mount}", (7.6, 5.4), draw, alt)
 
 
-def residuals_in_time(shown: Shown) -> str:
+def residuals_in_time(shown: ModelComparison) -> str:
     """Residuals against time (in the order of measurement where there is none), before and after side by side."""
     columns, scale = columns_of(shown)[: 1 if shown.after is None else 2], common_scale(shown)
     time_s = columns[0][1].fitted.time_s
@@ -357,7 +357,7 @@ def _kind(rival: Rival, named: str) -> str:
     return "named" if rival.family == named else "tied" if rival.tied else "less"
 
 
-def modulus_at_points(shown: Shown, limit_g: float) -> str:
+def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
     """Δg at the verification points before and after, bars of k = 2, between the limits (paper, Fig. 6)."""
     scale = scale_for(limit_g, "g")
     limit = limit_g / scale.size
@@ -401,7 +401,7 @@ def modulus_at_points(shown: Shown, limit_g: float) -> str:
     return svg_figure("diagnosis-modulus", (6.4, 3.0), draw, alt)
 
 
-def most_telling(shown: Shown) -> list[int]:
+def most_telling(shown: ModelComparison) -> list[int]:
     """Return the mountings by their numbers, those first in which what was found changes the simulation most."""
     before, last = shown.before.calibration, shown.last.calibration
     missing = before.residuals - last.residuals
@@ -409,7 +409,7 @@ def most_telling(shown: Shown) -> list[int]:
     return sorted(range(len(sizes)), key=lambda mount: -sizes[mount])
 
 
-def overlay_of_mount(shown: Shown, mount: int) -> str:
+def overlay_of_mount(shown: ModelComparison, mount: int) -> str:
     """Signals against head angle in one mounting, a row for each channel: measured points over the simulated bench.
 
     On the left the signals, on the right both less what the model as it was given simulates: what is missing from

@@ -11,7 +11,7 @@ from bench.diagnosis.gap import FLOOR, UNDETERMINED, Fold, Gap, rms
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.noise_kinds import NoiseKind
 from bench.diagnosis.posterior import KnownTogether
-from bench.diagnosis.residual_model import FormTerm, FreeForm, Scatter
+from bench.diagnosis.residual_model import FormTerm, FreeForm, LocalScatter
 
 VerdictOfCopy = Literal["agrees", "named", "confounded", "unknown"]
 
@@ -246,7 +246,7 @@ class FormPart(ResultModel):
     gap: FormGapPart
     dark_uncertainty: float = Field(description="what stays unexplained in each reading, 1 sigma")
     dark: DarkPart
-    scatter: Scatter | None = Field(description="where readings scatter more than elsewhere")
+    scatter: LocalScatter | None = Field(description="where readings scatter more than elsewhere")
     unit: str
 
 

@@ -16,10 +16,10 @@ from bench.diagnosis.free_records import FreeDiagnosis
 from bench.diagnosis.gap import UNDETERMINED, Gap
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.pipeline import FullDiagnosis, Rival
-from bench.diagnosis.residual_model import Dark, FormTerm, FreeForm
+from bench.diagnosis.residual_model import FormTerm, FreeForm, UnexplainedScatter
 from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect
-from bench.diagnosis.show import CoefficientChange, Shown, label
-from bench.diagnosis.where import Place
+from bench.diagnosis.show import CoefficientChange, ModelComparison, label
+from bench.diagnosis.where import ResidualPattern
 from bench.model.effects import CATALOGUE
 
 
@@ -138,7 +138,7 @@ def sentence_of(family: str) -> str:
     return CATALOGUE[family].sentence if family in CATALOGUE else UNNAMED_WORDS[family]
 
 
-def place_in_words(place: Place) -> str:
+def place_in_words(place: ResidualPattern) -> str:
     """Return one pattern of the disagreement as a phrase."""
     where = "verification points" if place.channel == "modulus" else f"channel {place.channel}"
     if place.installation == "all":
@@ -298,7 +298,7 @@ def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
     return "; ".join(" or ".join([effect_title(one), *one.cannot_tell_from]) for one in effects)
 
 
-def mountings_of(block: Shown) -> str:
+def mountings_of(block: ModelComparison) -> str:
     """Return the mountings of a block of several, as they stand in the body of data: "1/3, 2/3"."""
     return ", ".join(str(mount) for mount in block.before.calibration.fitted.conditions().mounts)
 
@@ -328,7 +328,7 @@ def why_no_model(diagnosis: Diagnosis) -> str:
     return "while no readings held out confirm it; --accept-first takes it all the same"
 
 
-def joined_in_words(shown: Shown) -> Iterator[str]:
+def joined_in_words(shown: ModelComparison) -> Iterator[str]:
     """Yield what the verification points say where they alone show what was found; nothing where not."""
     if shown.after is None or not shown.after.joined:
         return
@@ -341,7 +341,7 @@ def joined_in_words(shown: Shown) -> Iterator[str]:
         )
 
 
-def still_missing(shown: Shown) -> bool:
+def still_missing(shown: ModelComparison) -> bool:
     """Whether the readings differ from the best model by more than their repeats explain."""
     return shown.last.tested and shown.last.test.shown
 
@@ -465,7 +465,7 @@ def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
         yield _dark_in_words(form.dark, form.unit)
 
 
-def _dark_in_words(dark: Dark, unit: str) -> str:
+def _dark_in_words(dark: UnexplainedScatter, unit: str) -> str:
     if not np.isfinite(dark.upper):
         return "what stays unexplained cannot be told: there are no readings beside the repeats"
     limit = f"less than {quantity(dark.upper, unit)} (95 %)"

@@ -176,7 +176,7 @@ def _sizes(one: bench_or_block.Sizes) -> SizesPart:
     )
 
 
-def _size(size: bench_or_block.Size) -> SizePart:
+def _size(size: bench_or_block.EstimatedSize) -> SizePart:
     asked = {} if math.isnan(size.p_all_looks) else {"p_all_looks": size.p_all_looks, "shown": size.shown}
     return SizePart(value=size.value, u=size.u, at_most=size.most, **asked)
 

@@ -13,7 +13,7 @@ from rich.table import Table
 from bench.base.numbers import figures
 from bench.base.result_model import Matrix, ResultModel
 from bench.base.tables import table
-from bench.planning.points import Points
+from bench.planning.points import ChosenPoints
 from bench.planning.requirements import Limit
 from bench.results.parts import BenchPart
 from bench.run.sentences import duration
@@ -218,7 +218,7 @@ class PlanPointsResult(ResultModel):
 
 
 def plan_points_result(
-    points: Points, u_paper: dict[str, float], bench: BenchPart, procedure: str | None, *, asked: bool
+    points: ChosenPoints, u_paper: dict[str, float], bench: BenchPart, procedure: str | None, *, asked: bool
 ) -> PlanPointsResult:
     """Return the result of chosen points.
 

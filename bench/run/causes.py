@@ -28,16 +28,16 @@ from bench.run.expectation import (
     SETTING,
     SHIFTS,
     UNLIKELY,
-    Elsewhere,
     Expectation,
     ExpectedPose,
-    Judgement,
     Kind,
     Member,
     NoiseSizes,
-    Replay,
+    OtherPose,
+    ReadingJudgement,
+    ReplayedReadings,
     Sighting,
-    Supposed,
+    Supposition,
     Suspect,
     head_elsewhere,
     other_installation,
@@ -63,7 +63,7 @@ MOST_CANDIDATES: Final = 12
 """Earlier readings that are suspected at once; it bounds the time that a warning takes in a long run."""
 
 
-AS_RECORDED: Final = Member(Supposed("", Kind.EARLIER))
+AS_RECORDED: Final = Member(Supposition("", Kind.EARLIER))
 """Supposes nothing."""
 
 
@@ -108,7 +108,7 @@ class Inquiry:
         label, angle = sighting.installation, sighting.angle_rad
         unlikely = 0.0 if sighting.pivot_rad is None else SAT_RIGHT
         supposed = [
-            Elsewhere(replace(sat, unlikely=sat.unlikely + unlikely), at)
+            OtherPose(replace(sat, unlikely=sat.unlikely + unlikely), at)
             for at, sat in self._others(sighting, few=True).items()
         ]
         supposed += head_elsewhere(label, angle, sighting.last_rad, sighting.next_rad, sighting.pivot_rad)
@@ -128,11 +128,11 @@ class Inquiry:
         moved, u = MOVED_RAD * part, MOVED_RAD * np.sqrt(np.maximum(left, 0.0))
         about = f"block or head is {format_dms(abs(moved[0]))} off about the shaft"
         tilted = f"the block is tilted by {format_dms(abs(moved[1]))} out of the plane of rotation"
-        supposed = [Supposed(about, Kind.MOVED), Supposed(tilted, Kind.TILTED)]
+        supposed = [Supposition(about, Kind.MOVED), Supposition(tilted, Kind.TILTED)]
         for i, channel in enumerate(CHANNELS):
             off_v = part[2 + i] * further[2 + i, i]
             text = f"channel {channel} alone is off by {off_v * 1e3:+.3g} mV (its cable or voltmeter)"
-            supposed.append(Supposed(text, Kind.CHANNEL))
+            supposed.append(Supposition(text, Kind.CHANNEL))
         large = [*(np.abs(moved[:2]) > LARGE_RAD), *(np.abs(part[2:]) * CHANNEL_OFF_G > LARGE_G)]
         stops = {one.text: bool(is_large) for one, is_large in zip(supposed, large, strict=True)}
         return [
@@ -142,7 +142,9 @@ class Inquiry:
             for suspect in self._fitting(supposed, judged, before)
         ]
 
-    def _fitting(self, supposed: Sequence[Supposed], judged: Judgement, before: float) -> list[Suspect]:
+    def _fitting(
+        self, supposed: Sequence[Supposition], judged: ReadingJudgement, before: float
+    ) -> list[Suspect]:
         cost = judged.cost(self.most)
         return [
             Suspect(one.text, one.kind, before + float(cost[index]) + one.unlikely, free=one.kind in FREE)
@@ -150,13 +152,13 @@ class Inquiry:
             if judged.chi2[index] <= self.most
         ]
 
-    def _others(self, sighting: Sighting, *, few: bool) -> dict[str, Supposed]:
+    def _others(self, sighting: Sighting, *, few: bool) -> dict[str, Supposition]:
         """Return where else the block may sit, by label; after `few` readings other orientations, too."""
         label = sighting.installation
         otherwise = self.otherwise.get(label, ()) if few else ()
         known = {at: other_installation(at, label, sighting.sat_before) for at in self._installations(label)}
         unlikely = UNLIKELY[Kind.ORIENTATION] + (FIRST_ORIENTATION if sighting.sat_before is None else 0.0)
-        return known | {at: Supposed(at, Kind.ORIENTATION, unlikely) for at in otherwise}
+        return known | {at: Supposition(at, Kind.ORIENTATION, unlikely) for at in otherwise}
 
     def _installations(self, label: str) -> list[str]:
         everywhere = {at for several in self.otherwise.values() for at in several}
@@ -164,18 +166,20 @@ class Inquiry:
 
     # --- mistakes of the whole run so far ------------------------------------------------------------
 
-    def of_run(self, history: Sequence[Sighting]) -> tuple[list[Suspect], Replay]:
+    def of_run(self, history: Sequence[Sighting]) -> tuple[list[Suspect], ReplayedReadings]:
         """Suppose mistakes since the run or the mounting began, or in one earlier reading alone.
 
         The last of `history` is the reading to be explained. Member 0 of the replay supposes nothing.
         """
         mounted = max(i for i, s in enumerate(history) if s.new_mount)
         others = self._others(history[-1], few=len(history) - mounted <= FEW)
-        wrong_way = Supposed("the head was turned the wrong way since the block was mounted", Kind.ROTATION)
+        wrong_way = Supposition(
+            "the head was turned the wrong way since the block was mounted", Kind.ROTATION
+        )
         members = [
             AS_RECORDED,
             *(Member(one, cabling) for one, cabling in zip(CABLED, CABLINGS.values(), strict=True)),
-            Member(Supposed("the head counts the other way", Kind.ROTATION), pose=1),
+            Member(Supposition("the head counts the other way", Kind.ROTATION), pose=1),
             *([Member(wrong_way, pose=1, since=mounted)] if mounted else []),
             *(Member(one, pose=2 + i, since=mounted) for i, one in enumerate(others.values())),
             *(member for k in candidates(history) for member in self._wrong_before(history[k], k)),
@@ -196,10 +200,10 @@ class Inquiry:
     def _wrong_before(self, sighting: Sighting, k: int) -> list[Member]:
         """Suppose that reading `k` was wrong: left out, off by whatever size fits, or a setting like it."""
         unlikely, was_wrong = UNLIKELY[Kind.EARLIER], f"{sighting.place} was wrong"
-        somehow = Supposed(was_wrong, Kind.EARLIER, unlikely)
+        somehow = Supposition(was_wrong, Kind.EARLIER, unlikely)
         first = 2 + len(self._others(sighting, few=True))
         settings = [
-            Supposed(f"{was_wrong}: {at.supposed.text}", Kind.EARLIER, unlikely + at.supposed.unlikely)
+            Supposition(f"{was_wrong}: {at.supposed.text}", Kind.EARLIER, unlikely + at.supposed.unlikely)
             for at in _settings(sighting)
         ]
         return [
@@ -207,11 +211,13 @@ class Inquiry:
             *(Member(one, pose=first + i, reading=k) for i, one in enumerate(settings)),
         ]
 
-    def without(self, history: Sequence[Sighting], k: int) -> Replay:
+    def without(self, history: Sequence[Sighting], k: int) -> ReplayedReadings:
         """Go through all readings but the one at `k` again."""
-        return self.replay(history, [Member(Supposed("", Kind.EARLIER), reading=k, shift=ABSENT)])
+        return self.replay(history, [Member(Supposition("", Kind.EARLIER), reading=k, shift=ABSENT)])
 
-    def replay(self, history: Sequence[Sighting], members: Sequence[Member] = (AS_RECORDED,)) -> Replay:
+    def replay(
+        self, history: Sequence[Sighting], members: Sequence[Member] = (AS_RECORDED,)
+    ) -> ReplayedReadings:
         """Go through all readings again; without members as they were recorded.
 
         A reading that is left out costs as much as one that does not fit.
@@ -237,7 +243,7 @@ class Inquiry:
             if not sighting.struck:
                 cost += np.where(present, judged.cost(self.most), self.most + judged.log_det)
             state.take(judged, taken[i])
-        return Replay(state, cost, before, taken)
+        return ReplayedReadings(state, cost, before, taken)
 
     def _all_poses(self, sighting: Sighting) -> ExpectedPose:
         if sighting.poses is None:
@@ -262,7 +268,7 @@ class Inquiry:
         )
 
 
-def _settings(sighting: Sighting) -> list[Elsewhere]:
+def _settings(sighting: Sighting) -> list[OtherPose]:
     """Where the head may have stood otherwise at an earlier reading, by so much that a run is stopped for it."""
     at, label = sighting.angle_rad, sighting.installation
     found = head_elsewhere(label, at, sighting.last_rad, sighting.next_rad, sighting.pivot_rad)

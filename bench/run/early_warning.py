@@ -26,8 +26,8 @@ from bench.run.expectation import (
     SETTING,
     EarlySign,
     Expectation,
-    Judgement,
     NoiseSizes,
+    ReadingJudgement,
     RepeatNoise,
     Sighting,
     Suspect,
@@ -37,7 +37,7 @@ from bench.run.expectation import (
     poses,
     why,
 )
-from bench.run.resume import Progress
+from bench.run.resume import PlanProgress
 from drivers.angles import format_dms
 
 SCALE_FACTOR_U: Final = 0.03
@@ -124,7 +124,7 @@ class EarlyWarning:
         self._mounted_anew = True
         self._in_a_row = 0
         self._moved: tuple[Sighting, Suspect] | None = None
-        self.judged: Judgement | None = None
+        self.judged: ReadingJudgement | None = None
         """How the reading taken last was judged against those before it; None for one that was passed over."""
 
     @property
@@ -153,7 +153,7 @@ class EarlyWarning:
         if self._history:
             self._confidence.went_on(self._history[-1])
 
-    def foresee(self, reading: Reading) -> Judgement:
+    def foresee(self, reading: Reading) -> ReadingJudgement:
         """Hold a reading against what is expected of it without taking it: what a mistake in it would show."""
         ahead = copy.deepcopy(self)
         sighting = ahead._sight(reading)
@@ -299,7 +299,7 @@ class EarlyWarning:
             self._model, self._otherwise, self._nominal, self._prior, self._stand_u, self.noise, self._most
         )
 
-    def _suspect(self, sighting: Sighting, judged: Judgement) -> EarlySign:
+    def _suspect(self, sighting: Sighting, judged: ReadingJudgement) -> EarlySign:
         """Find the mistakes that explain the reading, and tell them."""
         inquiry = self._inquiry()
         of_run, replay = inquiry.of_run(self._history)
@@ -324,7 +324,7 @@ class EarlyWarning:
         words = f"{misfit(judged, channels)}; {self._why(causes, at_fault)}"
         return self._sign(sighting, judged, channels, words, causes, at_fault, confident=confident)
 
-    def _wrong_before(self, judged: Judgement) -> list[EarlySign]:
+    def _wrong_before(self, judged: ReadingJudgement) -> list[EarlySign]:
         """Tell of the reading before, where only this one, which fits, shows what was wrong with it."""
         found = self._confidence.fits()
         if found is None:
@@ -337,7 +337,7 @@ class EarlyWarning:
     def _why(causes: Sequence[Suspect], at_fault: Sighting | None) -> str:
         return why([cause.text for cause in causes], at_fault.place if at_fault else None)
 
-    def _noisy(self, sighting: Sighting, judged: Judgement) -> EarlySign:
+    def _noisy(self, sighting: Sighting, judged: ReadingJudgement) -> EarlySign:
         """Tell, once, that the bench is noisier than its file states."""
         found, stated = self.noise.reading_v, self._repeats.stated.reading_v
         cause = "the bench is noisier than its file states"
@@ -351,7 +351,7 @@ class EarlyWarning:
     def _sign(
         self,
         sighting: Sighting,
-        judged: Judgement,
+        judged: ReadingJudgement,
         channels: tuple[str, ...],
         words: str,
         causes: Sequence[Suspect],
@@ -429,11 +429,11 @@ class Watcher:
         return self._warning.take(reading)
 
     @property
-    def judged(self) -> Judgement | None:
+    def judged(self) -> ReadingJudgement | None:
         """How the reading taken last was judged; None for one without a known orientation."""
         return self._warning.judged
 
-    def recall(self, taken: Sequence[tuple[int, Reading] | None], progress: Progress) -> None:
+    def recall(self, taken: Sequence[tuple[int, Reading] | None], progress: PlanProgress) -> None:
         """Take the readings on record of a run that is taken up again.
 
         None stands where the block was mounted anew. Those that were taken again, or are to be, are passed over.
@@ -451,7 +451,7 @@ class Watcher:
             if step in progress.gone_on:
                 self._warning.went_on()
 
-    def foresee(self, reading: Reading) -> Judgement:
+    def foresee(self, reading: Reading) -> ReadingJudgement:
         """Hold a reading against what is expected of it without taking it."""
         return self._warning.foresee(reading)
 

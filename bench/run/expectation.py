@@ -112,7 +112,7 @@ class RepeatNoise:
         )
 
 
-class Judgement(NamedTuple):
+class ReadingJudgement(NamedTuple):
     """A reading against its expectation, per member.
 
     `residual` (m, 3) in V, `covariance` (m, 3, 3) of it, `chi2` (m,) with three degrees of freedom,
@@ -190,7 +190,7 @@ class Expectation:
 
     def judge(
         self, signal_v: Floats, pose: ExpectedPose, noise: NoiseSizes, further: Floats | None = None
-    ) -> Judgement:
+    ) -> ReadingJudgement:
         """Hold a reading (m, 3) against what is expected of it.
 
         `further` (m, 3) is one more error by which the reading may be off, as one standard deviation of it.
@@ -211,9 +211,9 @@ class Expectation:
         if further is not None:
             covariance = covariance + further[..., :, None] * further[..., None, :]
         chi2 = (residual * np.linalg.solve(covariance, residual[..., None])[..., 0]).sum(axis=-1)
-        return Judgement(residual, covariance, chi2, np.linalg.slogdet(covariance)[1], design)
+        return ReadingJudgement(residual, covariance, chi2, np.linalg.slogdet(covariance)[1], design)
 
-    def take(self, judged: Judgement, members: Mask | None = None) -> None:
+    def take(self, judged: ReadingJudgement, members: Mask | None = None) -> None:
         """Learn from a judged reading, in the members of the mask (m,) alone where one is given."""
         across = self.covariance @ np.swapaxes(judged.design, 1, 2)
         gain = np.swapaxes(np.linalg.solve(judged.covariance, np.swapaxes(across, 1, 2)), 1, 2)
@@ -257,7 +257,7 @@ class EarlySign:
         return asdict(self)
 
 
-def misfit(judged: Judgement, channels: Sequence[str]) -> str:
+def misfit(judged: ReadingJudgement, channels: Sequence[str]) -> str:
     """Say by how much the channels of a reading are off."""
     parts = []
     for channel in channels:
@@ -333,7 +333,7 @@ SAME_RAD: Final = float(np.radians(0.5))
 
 
 @dataclass(frozen=True)
-class Supposed:
+class Supposition:
     """A supposition in words, its kind, and what it costs beforehand."""
 
     text: str
@@ -342,10 +342,10 @@ class Supposed:
 
 
 @dataclass(frozen=True)
-class Elsewhere:
+class OtherPose:
     """A reading supposed to have been taken with the block in another `label`, the head `off_rad` away."""
 
-    supposed: Supposed
+    supposed: Supposition
     label: str
     off_rad: float = 0.0
 
@@ -370,15 +370,15 @@ EXCHANGED_IN_TURN: Final = 4.0
 """What it costs beforehand that all three cables are wrong, which looks like a block that sits otherwise."""
 
 CABLED: Final = tuple(
-    Supposed(_said(wiring), Kind.CABLING, EXCHANGED_IN_TURN if len(wiring.channels) == 3 else 0.0)
+    Supposition(_said(wiring), Kind.CABLING, EXCHANGED_IN_TURN if len(wiring.channels) == 3 else 0.0)
     for wiring in (*EXCHANGED, *REVERSED)
 )
 
 
-def other_installation(actual: str, stated: str, before: str | None) -> Supposed:
+def other_installation(actual: str, stated: str, before: str | None) -> Supposition:
     """Suppose that the block sits in another installation; `before` is that of the mounting before."""
     text = f"the block sits in installation {actual}, not in {stated}"
-    return Supposed(text, Kind.INSTALLATION, 0.0 if actual == before else OTHER_INSTALLATION)
+    return Supposition(text, Kind.INSTALLATION, 0.0 if actual == before else OTHER_INSTALLATION)
 
 
 def _quarter_turns() -> tuple[tuple[tuple[int, ...], tuple[float, ...], Floats], ...]:
@@ -414,21 +414,21 @@ def orientations(installations: Mapping[str, Installation], label: str) -> dict[
 
 def head_elsewhere(
     label: str, angle_rad: float, last_rad: float | None, next_rad: float | None, pivot_rad: float | None
-) -> list[Elsewhere]:
+) -> list[OtherPose]:
     """Suppose that the head stood elsewhere than its scale was read.
 
     `last_rad` is the angle at the point before on the same mounting, `next_rad` that of the point to come,
     `pivot_rad` that of the last point that fitted: from there the head may have been turned the wrong way.
     """
-    found: list[Elsewhere] = []
+    found: list[OtherPose] = []
 
     def add(text: str, kind: Kind, off_rad: float) -> None:
         off_rad = wrapped_rad(off_rad)
         if abs(off_rad) > SAME_RAD and all(
             abs(wrapped_rad(one.off_rad - off_rad)) > SAME_RAD for one in found
         ):
-            supposed = Supposed(text, kind, UNLIKELY.get(kind, 0.0))
-            found.append(Elsewhere(supposed, label, off_rad))
+            supposed = Supposition(text, kind, UNLIKELY.get(kind, 0.0))
+            found.append(OtherPose(supposed, label, off_rad))
 
     if last_rad is not None:
         add(
@@ -447,8 +447,8 @@ def head_elsewhere(
         add(text, Kind.WRONG_WAY, stood - angle_rad)
     add("the head stood at 360° - x where x was read", Kind.SLIP, reflected)
     slips = [
-        Elsewhere(
-            Supposed(
+        OtherPose(
+            Supposition(
                 f"the setting is {name} off: the head stood at {format_dms(angle_rad + off)}",
                 Kind.SLIP,
                 UNLIKELY[Kind.SLIP],
@@ -539,7 +539,7 @@ class Member:
     that of a shift of whatever size fits, or `ABSENT`.
     """
 
-    supposed: Supposed
+    supposed: Supposition
     cabling: Floats = field(default_factory=lambda: np.eye(3))
     pose: int = 0
     since: int = 0
@@ -556,7 +556,7 @@ class Member:
 
 
 @dataclass(frozen=True)
-class Replay:
+class ReplayedReadings:
     """All readings gone through once more: the state of each member at the end and what it took in.
 
     `cost` (m,) of all readings, `before` that of the base member without the last one; `taken` (n, m).

@@ -115,7 +115,7 @@ answered elsewhere, was typed for that one."""
 Tell = Callable[[EventType, dict[str, Any]], object]
 
 
-class Numbered(Protocol):
+class CountingRecord(Protocol):
     """A record that knows how many events it has."""
 
     @property
@@ -139,7 +139,7 @@ class Asker:
     def __init__(
         self,
         folder: Path,
-        record: Numbered,
+        record: CountingRecord,
         tell: Tell,
         *,
         terminal: TerminalPerson | None = None,

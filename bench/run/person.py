@@ -26,7 +26,7 @@ SIGN: Final = ":"
 
 
 @dataclass(frozen=True)
-class Who:
+class WishAuthor:
     """Who wished or answered something, in which role ("operator", "supervisor"), and where.
 
     `where` is "terminal", "panel", or "command" for `bench control`. Old records do not say: then all are empty.
@@ -42,21 +42,21 @@ class Who:
         return told if any(told.values()) else {}
 
     @classmethod
-    def from_json(cls, line: Mapping[str, Any]) -> Who:
+    def from_json(cls, line: Mapping[str, Any]) -> WishAuthor:
         """Return who an event, or a line left in a run's folder, says it was."""
         return cls(*(str(line.get(name, "")) for name in ("by", "role", "where")))
 
 
-NOBODY_KNOWN: Final = Who()
+NOBODY_KNOWN: Final = WishAuthor()
 
 
-def at_the_shell(where: str) -> Who:
+def at_the_shell(where: str) -> WishAuthor:
     """Return who this program runs for: whoever has a shell in the runs' folder counts as a supervisor."""
     try:
         name = getpass.getuser()
     except (OSError, KeyError, ImportError):  # no such user, or no such list of them
         name = ""
-    return Who(name, "supervisor", where)
+    return WishAuthor(name, "supervisor", where)
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class RunControl:
     wish: Wish
     reason: str = ""
     by_person: bool = False
-    who: Who = NOBODY_KNOWN
+    who: WishAuthor = NOBODY_KNOWN
 
     def to_json(self) -> dict[str, str]:
         """Return it as it is left in a run's folder."""
@@ -79,7 +79,7 @@ class RunControl:
     @classmethod
     def from_json(cls, line: Mapping[str, Any]) -> RunControl:
         """Return another program's wish. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
-        return cls(Wish(line["wish"]), str(line.get("reason", "")), who=Who.from_json(line))
+        return cls(Wish(line["wish"]), str(line.get("reason", "")), who=WishAuthor.from_json(line))
 
 
 class OperatorWish(Exception):
@@ -194,7 +194,7 @@ class LeftAnswer:
 
     id: str
     answer: str
-    who: Who = NOBODY_KNOWN
+    who: WishAuthor = NOBODY_KNOWN
     line: int = 0
     flaw: str = ""
 
@@ -253,11 +253,11 @@ def _read_answer(line: bytes, number: int) -> LeftAnswer:
         prompt_id, text = told["id"], told["answer"]
         if type(prompt_id) is not str or type(text) is not str or len(text) > LONGEST:
             raise ValueError("neither")
-        return LeftAnswer(prompt_id, text, Who.from_json(told), number)
+        return LeftAnswer(prompt_id, text, WishAuthor.from_json(told), number)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         beginning = line[:100].decode("utf-8", "backslashreplace").strip()
         flaw = f"line {number} of {ANSWERS} is no answer"
-        return LeftAnswer("", beginning, Who(where="panel"), number, flaw)
+        return LeftAnswer("", beginning, WishAuthor(where="panel"), number, flaw)
 
 
 # --- the question that stands ------------------------------------------------------------------------

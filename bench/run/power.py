@@ -13,7 +13,7 @@ from bench.config.procedure.plan import SWITCHED_ON, Mount, Plan, Power, Read
 from bench.readings.columns import Rail
 from bench.run.events import EventType
 from bench.run.person import ask
-from bench.run.resume import Progress
+from bench.run.resume import PlanProgress
 from bench.run.samples import Criterion, NotSettled, Settling, wait_until_settled
 from drivers.clock import Clock
 from drivers.interfaces import (
@@ -388,7 +388,7 @@ def take_up(
     power: UnitPower,
     plan: Plan,
     first: int,
-    progress: Progress,
+    progress: PlanProgress,
     switch: Switch,
     another_visit: Callable[[Read], None],
 ) -> None:
@@ -419,7 +419,7 @@ def _on_at(plan: Plan, step: int) -> bool:
     return plan.begins_on()
 
 
-def _next_of_a_visit(plan: Plan, first: int, progress: Progress) -> Read | None:
+def _next_of_a_visit(plan: Plan, first: int, progress: PlanProgress) -> Read | None:
     """Return the next reading on the present mounting, None where nothing was read yet on that visit."""
     for index in range(first, len(plan.steps)):
         step = plan.steps[index]

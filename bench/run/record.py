@@ -40,7 +40,7 @@ from bench.run.events import (
     sha256,
     state_after_one,
 )
-from bench.run.resume import ENDS_A_POINT, Progress, end_of_point, turn_before
+from bench.run.resume import ENDS_A_POINT, PlanProgress, end_of_point, turn_before
 
 
 class Events(Sequence[Event]):
@@ -88,7 +88,7 @@ class History:
     problems: tuple[str, ...]
     torn: str
     state: RunState
-    progress: Progress
+    progress: PlanProgress
     taken: tuple[tuple[int, Reading] | None, ...]
     identities: dict[str, str]
     serials: dict[str, str]
@@ -131,7 +131,7 @@ class _Reader:
         self._count = 0
         self._last: Event | None = None
         self._state = RunState.READY
-        self._progress = Progress()
+        self._progress = PlanProgress()
         self._taken: list[tuple[int, Reading] | None] = []
         self._identities: dict[str, str] | None = None
         self._serials: dict[str, str] = {}

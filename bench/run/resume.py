@@ -16,7 +16,7 @@ from drivers.person import Person, Prompt, PromptKind
 
 
 @dataclass
-class Progress:
+class PlanProgress:
     """Which steps of a plan are done, left out, and how often each was begun anew on request.
 
     `temperature_c` is the last one on record, `identities` those of the instruments; `remounts` gives the
@@ -48,7 +48,7 @@ class Progress:
     chosen: list[Mapping[str, Any]] = field(default_factory=list)
     left_out: set[int] = field(default_factory=set)
 
-    def copy(self) -> Progress:
+    def copy(self) -> PlanProgress:
         """Return a copy, to be gone on with."""
         return replace(
             self,
@@ -166,7 +166,7 @@ def turn_before(plan: Plan, step: int, without: Collection[int] = ()) -> int:
     return step
 
 
-def is_still_to_be_read(plan: Plan, progress: Progress, step: int) -> bool:
+def is_still_to_be_read(plan: Plan, progress: PlanProgress, step: int) -> bool:
     """Whether a reading is still to come before the block is mounted next, from `step` on.
 
     One that stopped the run by an early sign may be redone.
@@ -179,7 +179,7 @@ def is_still_to_be_read(plan: Plan, progress: Progress, step: int) -> bool:
     return False
 
 
-def latest_turn(plan: Plan, progress: Progress, step: int) -> int:
+def latest_turn(plan: Plan, progress: PlanProgress, step: int) -> int:
     """The turn that was begun last in time before `step`, with nothing mounted since; `step` where there is none.
 
     Where points are chosen on the way, it may stand later in the plan.
@@ -209,7 +209,7 @@ def first_of_pass(plan: Plan, turn: int) -> int:
     return first
 
 
-def last_of_pass(plan: Plan, progress: Progress, turn: int) -> int:
+def last_of_pass(plan: Plan, progress: PlanProgress, turn: int) -> int:
     """The last step of the points that were begun in the pass to which the turn at `turn` belongs."""
     last = turn
     for index in range(turn, len(plan.steps)):
@@ -320,7 +320,7 @@ class Redo:
     mount: Mount | None = None
 
 
-def redo_from(plan: Plan, progress: Progress, wish: Wish, index: int) -> Redo | None:
+def redo_from(plan: Plan, progress: PlanProgress, wish: Wish, index: int) -> Redo | None:
     """Return what a wish at step `index` has taken again.
 
     None where no point was measured since the block was mounted.

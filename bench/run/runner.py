@@ -25,14 +25,14 @@ from bench.run.person import (
     OperatorWish,
     RunControl,
     Stopped,
-    Who,
+    WishAuthor,
     confirm,
     raised,
 )
 from bench.run.power import UnitPower, begin, take_up
 from bench.run.record import Record, ResumePoint
 from bench.run.resume import (
-    Progress,
+    PlanProgress,
     end_of_point,
     how_to_go_on,
     is_still_to_be_read,
@@ -85,7 +85,7 @@ class Recorder:
 
     record: Record
     observers: Sequence[Observer] = ()
-    progress: Progress = field(default_factory=Progress)
+    progress: PlanProgress = field(default_factory=PlanProgress)
     clocks: ClockWatch | None = None
     now_s: Callable[[], float] = field(default=lambda: 0.0, init=False)
 
@@ -118,7 +118,7 @@ class Runner:
     people: People
     recorder: Recorder
     watch: Watch = lambda reading: ()
-    choose: Callable[[int, Progress], dict[str, Any] | None] = lambda index, progress: None
+    choose: Callable[[int, PlanProgress], dict[str, Any] | None] = lambda index, progress: None
     certificates: Callable[[Mapping[str, str]], Sequence[str]] | None = None
     on_settling: Callable[[Settling], None] = lambda state: None
     at_resumed_time: Callable[[float], None] | None = None
@@ -301,7 +301,7 @@ class Runner:
         if control is not None:
             raise raised(control)
 
-    def _answerer(self) -> Who:
+    def _answerer(self) -> WishAuthor:
         """Who gave the last answer, where that is known."""
         return NOBODY_KNOWN if self.people.asker is None else self.people.asker.answered_by
 

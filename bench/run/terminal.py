@@ -19,7 +19,7 @@ from bench.base.computing import quiet
 from bench.config.procedure.plan import Plan
 from bench.readings.reading import Reading
 from bench.run.events import HEARD, Event, EventType, RunState, Wish
-from bench.run.person import NOBODY_KNOWN, SIGN, Who, parse_wish, raised
+from bench.run.person import NOBODY_KNOWN, SIGN, WishAuthor, parse_wish, raised
 from bench.run.resume import steps_of
 from bench.run.samples import Settling
 from bench.run.sentences import duration, sentence
@@ -194,7 +194,7 @@ class TerminalPerson:
         pause: Callable[[], None] = lambda: None,
         go_on: Callable[[], None] = lambda: None,
         wishes: Collection[Wish] | None = None,
-        who: Who = NOBODY_KNOWN,
+        who: WishAuthor = NOBODY_KNOWN,
     ) -> None:
         self.meanwhile: Callable[[], None] | None = None
         self.slice_s = SLICE_S

@@ -110,14 +110,14 @@ def instrument_name(identity: str, serial: str, resource: str | None, bench: str
 
 
 @dataclass(frozen=True)
-class Told:
+class OriginBeside:
     """What stands beside a readings file: `origin` where it is believed, `notes` what a reader should know."""
 
     origin: Origin | None = None
     notes: tuple[str, ...] = ()
 
 
-def origin_of_run(run: Run) -> Told:
+def origin_of_run(run: Run) -> OriginBeside:
     """Return where the readings of a run come from; of an imported one what its readings file tells."""
     if run.imported:
         told = origin_beside(run.folder / IMPORTED)
@@ -126,7 +126,7 @@ def origin_of_run(run: Run) -> Told:
     manifest = run.manifest
     unit = manifest.get("unit_under_test")
     copied_to = run.folder.absolute() / BENCH
-    return Told(
+    return OriginBeside(
         Origin(
             simulated=run.simulated,
             run=run.name,
@@ -147,20 +147,26 @@ def origin_of_run(run: Run) -> Told:
     )
 
 
-def origin_beside(readings: Path) -> Told:
+def origin_beside(readings: Path) -> OriginBeside:
     """Return what the file beside a readings file tells of it; nothing where there is none, or another one."""
     file = readings.with_name(readings.name + SUFFIX)
     content = _read(file)
     if content is None or not readings.is_file():
-        return Told()
+        return OriginBeside()
     try:
         about = _About.model_validate_json(content)
     except ValidationError:
-        return Told() if b'"sha256"' not in content else Told(notes=(f"{file.name} {_UNREADABLE}",))
+        return (
+            OriginBeside()
+            if b'"sha256"' not in content
+            else OriginBeside(notes=(f"{file.name} {_UNREADABLE}",))
+        )
     if about.sha256 != sha256(read_regular(readings)):
-        return Told(notes=(_mismatch(readings.name, file.name, about),))
+        return OriginBeside(notes=(_mismatch(readings.name, file.name, about),))
     mended = "; ".join(about.mended)
-    return Told(about, (f"a copy of {about.run} with mistakes put right: {mended}",) if mended else ())
+    return OriginBeside(
+        about, (f"a copy of {about.run} with mistakes put right: {mended}",) if mended else ()
+    )
 
 
 def is_told(file: Path) -> bool:
@@ -296,7 +302,7 @@ def recorded_sha256(run: Run) -> str:
 
 
 def bench_of(
-    name: str, run: Run | None, told: Told, given: str | BenchFile | None
+    name: str, run: Run | None, told: OriginBeside, given: str | BenchFile | None
 ) -> tuple[BenchTaken, tuple[str, ...]]:
     """Return the bench file for readings, with notes: the one asked for, else that which the run recorded.
 

@@ -40,7 +40,13 @@ from bench.services.own_effects import knowing_effects_of
 from bench.services.records import record_head
 from bench.services.requests.evaluation import Calibrate, Verify
 from bench.services.source import Source, provenance
-from bench.services.verification import NOTHING_ASKED, Asked, VerificationResult, judged, own_judgement
+from bench.services.verification import (
+    NOTHING_ASKED,
+    VerdictOptions,
+    VerificationResult,
+    judged,
+    own_judgement,
+)
 
 SEVERAL_TEMPERATURES: Final = 3
 
@@ -357,7 +363,7 @@ def _with_note_on_temperatures(source: Source) -> Source:
 def verification_of(
     source: Source,
     coefficients: Path | CalibrationResult | None = None,
-    asked: Asked = NOTHING_ASKED,
+    asked: VerdictOptions = NOTHING_ASKED,
     agreed: DecisionRule | None = None,
 ) -> VerificationResult:
     """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings.
@@ -385,11 +391,11 @@ def verified(request: Verify, source: Source) -> VerificationResult:
     given = request.coefficients
     if given is not None and not isinstance(given, CalibrationResult):
         given = Path(str(given))
-    return verification_of(source, given, Asked.of(request))
+    return verification_of(source, given, VerdictOptions.of(request))
 
 
 def report_page(
-    result: CalibrationResult, asked: Asked = NOTHING_ASKED
+    result: CalibrationResult, asked: VerdictOptions = NOTHING_ASKED
 ) -> tuple[str, VerificationResult | None]:
     """Verify, where there are verification points; return the page (HTML) and the verification in it."""
     from bench.results.page import ReportContent, render_report  # matplotlib is slow to import

@@ -33,7 +33,7 @@ from bench.services.errors import Refused
 from bench.services.requests.history import Chart
 from bench.services.requests.shared import runs_folder
 from bench.services.source import Request, load_sources
-from bench.stats.control_charts import BASES, DEFAULT_ARL, Basis, Design, least_runs, shewhart_arl
+from bench.stats.control_charts import BASES, DEFAULT_ARL, Basis, ChartDesign, least_runs, shewhart_arl
 from drivers.clock import utc_now
 
 FORMAT: Final = 1
@@ -217,7 +217,7 @@ def chart_of(
     taken = {one.name: one.per(g).check_run(section.between_runs) for one in values}
     baseline, later, reference = _parts(taken, section, of_bench, folder, g)
     basis, on_basis = _basis(section.limits, len(baseline), reference)
-    design = Design(_arl(section), section.smoothing, basis)
+    design = ChartDesign(_arl(section), section.smoothing, basis)
     try:
         chart = control_chart(
             baseline, later, design, reference=reference, drift=_drift(section), restarted=_restarted(section)
@@ -308,7 +308,7 @@ def _begun(runs: Sequence[CheckRun], section: CheckBlockSection) -> tuple[list[C
             later.append(run)
             continue
         basis, _ = _basis(section.limits, len(baseline), None)
-        design = Design(_arl(section), 1.0, basis)
+        design = ChartDesign(_arl(section), 1.0, basis)
         fits = control_chart(baseline, [run], design, drift=_drift(section)).in_control
         (baseline if fits else later).append(run)
     return baseline, [*later, *runs[1:][-1:]]

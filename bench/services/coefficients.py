@@ -15,7 +15,7 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.base.files import from_text, read_given, write_whole
 from bench.base.numbers import read_number
 from bench.base.text import shortened
-from bench.exchange.forms import FORMS, Form
+from bench.exchange.forms import FORMS, ExportForm
 from bench.exchange.result import BlockResult
 from bench.history.comparison import Snapshot
 from bench.model.geometry import COEFFICIENTS, Block
@@ -337,7 +337,7 @@ def date_of(text: str | None, where: str) -> datetime | None:
 ALL: Final = "all"
 
 
-def forms_of(names: list[str]) -> list[Form]:
+def forms_of(names: list[str]) -> list[ExportForm]:
     """Return the forms asked for, each once, in their order; "all" is every one. Raises `Refused`."""
     strange = [name for name in names if name not in FORMS and name != ALL]
     if strange:

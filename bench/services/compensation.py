@@ -187,7 +187,7 @@ def tumbled(source: Source, terms: Sequence[str]) -> tuple[TumbleView, TumbleRes
 
 
 @dataclass(frozen=True)
-class Given:
+class CalibrationToWrite:
     """A calibration to be written: `result`, and where its files go; `source` is None for a JSON file's."""
 
     result: BlockResult
@@ -201,7 +201,7 @@ class Given:
         return self.source.output("coefficients", suffix, what_if=self.source.what_if)
 
 
-def results_of(request: Request) -> list[Given]:
+def results_of(request: Request) -> list[CalibrationToWrite]:
     """Calibrate what is to be calibrated and read what is a result already. Raises `Refused`."""
     names = [name for name in request.sources if isinstance(name, str) and _is_result(Path(name))]
     asked = (request.bench, request.model, request.g_m_s2)
@@ -210,13 +210,13 @@ def results_of(request: Request) -> list[Given]:
             f"{names[0]}: is a result already, made with its own bench file, model and gravity; leave out --bench, "
             "--model, --g and --skip-bad-rows, or give its readings"
         )
-    found: list[Given] = []
+    found: list[CalibrationToWrite] = []
     for name in request.sources:
         if name in names:
             found += _read(Path(str(name)), request.out)
         else:
             (source,) = load_sources(replace(request, sources=[name]))
-            found.append(Given(calibration_of(source).derived, Path(), source))
+            found.append(CalibrationToWrite(calibration_of(source).derived, Path(), source))
     files = [given.file("") for given in found]
     for file in repeated(map(str, files)):
         raise Refused(f"--out: two sources would write {file}*; give each a folder of its own")
@@ -227,7 +227,7 @@ def _is_result(path: Path) -> bool:
     return path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST
 
 
-def _read(path: Path, out: Path | None) -> list[Given]:
+def _read(path: Path, out: Path | None) -> list[CalibrationToWrite]:
     try:
         data = from_text(read_regular(path).decode())
     except OSError as error:
@@ -238,7 +238,7 @@ def _read(path: Path, out: Path | None) -> list[Given]:
     many = len(results) > 1
     stem = (out or path.parent / "coefficients") / path.stem
     return [
-        Given(
+        CalibrationToWrite(
             block_result(one, f"{path}, result {k}" if many else str(path)),
             stem.with_name(f"{stem.name}-{k}") if many else stem,
             None,

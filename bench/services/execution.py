@@ -48,10 +48,10 @@ from bench.run.folder import (
 from bench.run.instruments import with_notes
 from bench.run.interrupts import Interrupts
 from bench.run.listening import Asker, ClockWatch, WishListener
-from bench.run.person import NOBODY_KNOWN, ControlFile, Who, agree, at_the_shell
+from bench.run.person import NOBODY_KNOWN, ControlFile, WishAuthor, agree, at_the_shell
 from bench.run.power import Feeding
 from bench.run.record import History, Record, is_being_written, read_history, resume_point
-from bench.run.resume import Progress
+from bench.run.resume import PlanProgress
 from bench.run.runner import People, Recorder, RunAborted, Runner
 from bench.run.samples import SLOW_AFTER_S
 from bench.run.sentences import TERMINAL, RunLog, sentence
@@ -66,7 +66,7 @@ from bench.services.requests.measuring import ResumeRequest, RunRequest
 from bench.services.requests.shared import runs_folder
 from bench.services.traceability import remarks
 from bench.services.until import noted_goals, until_of
-from bench.services.verification import NOTHING_ASKED, Asked, judgement_of
+from bench.services.verification import NOTHING_ASKED, VerdictOptions, judgement_of
 from drivers.clock import utc_now
 from drivers.interfaces import BenchError
 from drivers.making_safe import Haste
@@ -164,7 +164,7 @@ def new_run(request: RunRequest) -> NewRun:
 
 def _judged(request: RunRequest, bench: Path) -> VerdictAsked | None:
     """Return how the run is judged in place of the bench file's, None where nobody says. Raises `Refused`."""
-    asked = Asked(request.limit, request.rule, request.guard_band)
+    asked = VerdictOptions(request.limit, request.rule, request.guard_band)
     if asked == NOTHING_ASKED:
         return None
     judgement_of(load_bench(bench), asked)
@@ -196,7 +196,7 @@ def _free_name(procedure: str, runs: Path) -> str:
 
 
 @dataclass(frozen=True)
-class Heard:
+class AnswerChannels:
     """`wishes` are those left in the run's folder; `asker` is its living person, None where none is asked."""
 
     wishes: WishListener
@@ -205,13 +205,13 @@ class Heard:
 
 def heard_in(
     run: Run, record: Record, history: History | None, wishes: WishListener, out: Console, *, away: bool
-) -> Heard:
+) -> AnswerChannels:
     """Return who is heard in a run, new or (with its `history`) resumed; nobody is at a terminal if `away`.
 
     Whoever resumes a dry run that stopped is there to be asked how to go on.
     """
     if not run.asks_somebody and history is None:
-        return Heard(wishes)
+        return AnswerChannels(wishes)
     last_s = history.events[-1].bench_s if history is not None and history.events else 0.0
 
     def tell(kind: EventType, data: dict[str, Any]) -> Event:
@@ -222,7 +222,7 @@ def heard_in(
 
     terminal = None if away else TerminalPerson(sys.stdin, out, wishes=(), who=at_the_shell(TERMINAL))
     heard_before = history.progress.answers_heard if history is not None else 0
-    return Heard(wishes, Asker(run.folder, record, tell, terminal=terminal, heard=heard_before))
+    return AnswerChannels(wishes, Asker(run.folder, record, tell, terminal=terminal, heard=heard_before))
 
 
 def is_away(answers: str | None, *, panel: bool) -> bool:
@@ -315,7 +315,7 @@ def carry_out(
     history: History | None = None,
     wire: WireLog | None = None,
     interrupts: Interrupts | None = None,
-    heard: Heard | None = None,
+    heard: AnswerChannels | None = None,
 ) -> None:
     """Run to the end; say what is kept when it stops before. `history` is that of a run to be resumed.
 
@@ -323,7 +323,7 @@ def carry_out(
     """
     signals = interrupts or Interrupts()
     write_whole(run.folder / RESULTS, to_text({"made": None}))
-    heard = heard or Heard(WishListener(ControlFile(run.folder)))
+    heard = heard or AnswerChannels(WishListener(ControlFile(run.folder)))
     resume = resume_point(run.plan, history) if history else None
     if history and resume and not run.simulated:
         resume = replace(resume, bench_s=_elapsed_s(history))
@@ -348,7 +348,7 @@ def carry_out(
             recorder = Recorder(
                 record,
                 observers=(*assembly.observers, watcher.observe, bar, RunLog(run.folder, run.plan)),
-                progress=history.progress.copy() if history else Progress(),
+                progress=history.progress.copy() if history else PlanProgress(),
                 clocks=None if run.simulated else ClockWatch(utc_now, assembly.clock.now_s),
             )
             Runner(
@@ -545,7 +545,7 @@ def refuse_missing_devices(run: Run) -> None:
         )
 
 
-def give_up(run: Run, who: Who = NOBODY_KNOWN) -> tuple[str, ...]:
+def give_up(run: Run, who: WishAuthor = NOBODY_KNOWN) -> tuple[str, ...]:
     """End a run that nobody carries out for good; return what must be looked after yet, a sentence each.
 
     Raises `Refused` for one that has ended, `RecordError` where another program writes it or it was changed.

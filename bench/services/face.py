@@ -37,7 +37,7 @@ from bench.services.own_effects import knowing_effects_in
 from bench.services.requests.evaluation import Calibrate, Confirm, Diagnose, Verify
 from bench.services.requests.measuring import DryRunRequest, RunRequest
 from bench.services.source import Failed, Request, Source, load_sources, reading
-from bench.services.verification import Asked, VerificationResult
+from bench.services.verification import VerdictOptions, VerificationResult
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -105,7 +105,7 @@ def _verify(request: Verify) -> VerificationResult:
     g, which enter the risks. What is not given of these is the bench file's; a rule that nobody states is the
     non-binary one with 5 % of false acceptance at most. Else as in `calibrate`.
     """
-    Asked.of(request)
+    VerdictOptions.of(request)
     with knowing_effects_in(request.effects):
         (source,) = load_sources(reading(request, request.source))
         return verified(request, source)

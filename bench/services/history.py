@@ -46,7 +46,7 @@ from bench.results.stability import StabilityResult, allan_figure, stability_res
 from bench.run.events import MANIFEST
 from bench.run.folder import BENCH, Run, find_run
 from bench.services.arguments import python_call
-from bench.services.bench_selection import BenchTaken, Told, bench_of, origin_beside
+from bench.services.bench_selection import BenchTaken, OriginBeside, bench_of, origin_beside
 from bench.services.calibration import calibration_of
 from bench.services.coefficients import date_of, snapshots_in
 from bench.services.errors import Refused
@@ -390,7 +390,7 @@ Files = Iterator[tuple[str, Path, str]]
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparisonResult:
     """A comparison, and the bench file that was taken for each of its readings."""
 
     found: Comparison
@@ -408,7 +408,7 @@ class Compared:
         yield "figure", folder / "compare.svg", history_figure(self.found)
 
 
-def compared(request: asked.Compare) -> Compared:
+def compared(request: asked.Compare) -> ComparisonResult:
     """Compare results, runs and readings files of one block.
 
     Raises `Refused` for dates that do not fit, `CalibrationError` where there is nothing to compare.
@@ -417,7 +417,7 @@ def compared(request: asked.Compare) -> Compared:
     snapshots = [one for name in request.sources for one in _snapshots(str(name), request, taken)]
     if request.date:
         snapshots = _dated(snapshots, request.date)
-    return Compared(compare_snapshots(snapshots), tuple(taken))
+    return ComparisonResult(compare_snapshots(snapshots), tuple(taken))
 
 
 def _snapshots(name: str, request: asked.Compare, taken: list[tuple[str, BenchTaken]]) -> list[Snapshot]:
@@ -506,7 +506,7 @@ def _bench_of(record: str, runs: Path, bench: Bench) -> tuple[BenchTaken, tuple[
     if Path(record).is_file():
         return bench_of(record, None, origin_beside(Path(record)), given)
     run = next((Run(folder) for folder in (runs / record, Path(record)) if (folder / BENCH).is_file()), None)
-    return bench_of(record, run, Told(), given)
+    return bench_of(record, run, OriginBeside(), given)
 
 
 def _record_at_rest(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, Run | None, float | None]:

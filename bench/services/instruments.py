@@ -24,7 +24,7 @@ from bench.results.records import (
 )
 from bench.run.assembly.served import dry_evening, real_bench, real_evening
 from bench.run.commission.course import go_through
-from bench.run.commission.session import Ended, Evening, status_of
+from bench.run.commission.session import CommissioningSession, SessionEnded, status_of
 from bench.run.instruments import leave_safe
 from bench.run.interrupts import Interrupts
 from bench.run.workbench import QUICK_NPLC
@@ -250,7 +250,7 @@ WIRE_LOG: Final = "wire.log"
 
 
 @dataclass(frozen=True)
-class Setting:
+class CommissioningPlan:
     """What is commissioned and where its page goes.
 
     Without a `person` it is the simulated bench with the scripted one; `seed` is that of its random numbers.
@@ -270,7 +270,7 @@ def free_folder(now: datetime) -> Path:
     return Path(f"commissioning-{now.astimezone():%Y%m%d-%H%M%S}")
 
 
-def commission(setting: Setting) -> dict[str, Any]:
+def commission(setting: CommissioningPlan) -> dict[str, Any]:
     """Go through the evening; return its result, which stands in the folder beside page and wire log.
 
     The bench is left safe and the page written whatever happens. Raises `Refused` for a folder that cannot be
@@ -279,7 +279,7 @@ def commission(setting: Setting) -> dict[str, Any]:
     _take(setting.folder)
     began = utc_now()
     with logged_wire(setting.folder / WIRE_LOG) as log, Interrupts() as interrupts:
-        entered: AbstractContextManager[Evening]
+        entered: AbstractContextManager[CommissioningSession]
         if setting.person is None:
             truth = simulated_truth(setting.file, None)
             entered = dry_evening(setting.file, truth, setting.seed, log, interrupts.haste)
@@ -316,7 +316,7 @@ def _take(folder: Path) -> None:
         ) from error
 
 
-def _gone_through(evening: Evening, interrupts: Interrupts) -> str:
+def _gone_through(evening: CommissioningSession, interrupts: Interrupts) -> str:
     """Go through the evening; return why it ended before its end, "" where it did not.
 
     From its end on no signal raises anything: the bench is left safe and the page written.
@@ -326,7 +326,7 @@ def _gone_through(evening: Evening, interrupts: Interrupts) -> str:
             go_through(evening)
         finally:
             interrupts.hold()
-    except Ended as why:
+    except SessionEnded as why:
         return str(why)
     except KeyboardInterrupt:
         return "stopped by a signal"
@@ -336,7 +336,12 @@ def _gone_through(evening: Evening, interrupts: Interrupts) -> str:
 
 
 def _result(
-    setting: Setting, evening: Evening, began: datetime, took_s: float, ended: str, to_do: dict[str, str]
+    setting: CommissioningPlan,
+    evening: CommissioningSession,
+    began: datetime,
+    took_s: float,
+    ended: str,
+    to_do: dict[str, str],
 ) -> dict[str, Any]:
     instruments = []
     for section in setting.file.instruments.all():

@@ -43,7 +43,7 @@ from bench.planning.optimal_design import (
 )
 from bench.planning.points import (
     VERIFICATION_DEG,
-    Points,
+    ChosenPoints,
     Sites,
     Times,
     best_within,
@@ -82,14 +82,14 @@ from bench.services.errors import Refused, named, quantity
 from bench.services.requests.planning import Budget, PlanPoints, Require
 from bench.services.source import NO_GRAVITY, check_gravity
 from bench.services.traceability import take_learned, with_effects
-from bench.services.verification import Asked, judgement_of
+from bench.services.verification import VerdictOptions, judgement_of
 from drivers.clock import utc_now
 
 MOST_ANGLES: Final = 72
 
 
 @dataclass(frozen=True)
-class Planned:
+class PlannedPoints:
     """The result of `bench plan-points`, with what its text needs beside.
 
     `paper_settings` are those of the paper's procedure, `learned` is whether something was learned of the bench,
@@ -108,7 +108,7 @@ class Planned:
         )
 
 
-def planned(request: PlanPoints) -> Planned:
+def planned(request: PlanPoints) -> PlannedPoints:
     """Return the test points that reach goals in the least bench time, or the most in a given time.
 
     Raises `Refused` for what cannot be asked, `CalibrationError` for goals that nothing reaches, `FileMistakes`.
@@ -137,7 +137,7 @@ def planned(request: PlanPoints) -> Planned:
         _write_procedure(request.out, found, times, file, verified=verified, asked=request.has_goals)
         written = str(request.out)
     result = plan_points_result(found, u_paper, taken.part(), written, asked=request.has_goals)
-    return Planned(result, paper_settings, taken.learned_path is not None, request.time)
+    return PlannedPoints(result, paper_settings, taken.learned_path is not None, request.time)
 
 
 def _refuse_contradictions(request: PlanPoints) -> None:
@@ -266,7 +266,7 @@ def _of_paper(stand: Stand, goals: Sequence[Goal]) -> tuple[int, dict[str, float
 
 
 def _write_procedure(
-    file: Path, points: Points, times: Times, bench: BenchFile, *, verified: bool, asked: bool
+    file: Path, points: ChosenPoints, times: Times, bench: BenchFile, *, verified: bool, asked: bool
 ) -> None:
     """Write the procedure, never over another file, and check it against the bench as `bench check` does."""
     text = procedure_text(
@@ -282,7 +282,7 @@ def _write_procedure(
         raise Refused(f"{file}: " + "; ".join(problems))
 
 
-def _remarks(points: Points, bench: BenchFile, *, asked: bool) -> str:
+def _remarks(points: ChosenPoints, bench: BenchFile, *, asked: bool) -> str:
     worst = points.worst
     least = f"{worst.name}: u = {points.u(worst):.3g} {worst.unit}"
     if asked:
@@ -302,7 +302,7 @@ def budget_of(request: Budget) -> BudgetResult:
         _check_trials(request.trials)
     taken = find_bench_file(request.bench)
     file = _with_gravity(taken, request.g)
-    judgement = judgement_of(file, Asked(request.limit, request.rule, request.guard_band))
+    judgement = judgement_of(file, VerdictOptions(request.limit, request.rule, request.guard_band))
     plan = load_procedure(find_procedure(request.procedure)).expand()
     block, about = _block(request.coefficients, file)
     today = utc_now().date()

@@ -147,7 +147,7 @@ NOTHING_OUTSIDE = (
 
 
 @dataclass(frozen=True)
-class Sealed:
+class SealResult:
     """A seal, its file, and why it has no time stamp where one was asked for."""
 
     seal: Seal
@@ -155,7 +155,7 @@ class Sealed:
     no_time_stamp: str = ""
 
 
-def seal_run(run: Run, key: Path | None, server: str | None, passphrase: Callable[[], bytes]) -> Sealed:
+def seal_run(run: Run, key: Path | None, server: str | None, passphrase: Callable[[], bytes]) -> SealResult:
     """Seal a run that has ended; a server that gives no time stamp leaves it without one.
 
     Raises `RecordError` for a run or a key that is not fit for it, `Refused` where the seal cannot be written.
@@ -172,7 +172,7 @@ def seal_run(run: Run, key: Path | None, server: str | None, passphrase: Callabl
         except NoTimeStamp as reason:
             missing = str(reason)
     try:
-        return Sealed(seal, write_seal(run.folder, seal), missing)
+        return SealResult(seal, write_seal(run.folder, seal), missing)
     except OSError as error:
         raise Refused(f"{error.filename}: cannot be written ({error.strerror}); nothing is sealed") from error
 

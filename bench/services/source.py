@@ -25,7 +25,7 @@ from bench.run.folder import IMPORTED, Run, find_run
 from bench.services.bench_selection import (
     BenchTaken,
     Origin,
-    Told,
+    OriginBeside,
     bench_of,
     origin_beside,
     origin_of_run,
@@ -238,7 +238,7 @@ def _knows(stated: str | None, readings: Readings) -> bool:
 
 def _load(given: Given, request: Request) -> Source:
     run = _run_of(given, request.runs) if isinstance(given, str) else None
-    told = Told()
+    told = OriginBeside()
     if run is not None:
         run.trusted_history()
         told = origin_of_run(run)
@@ -284,7 +284,7 @@ def _learned(
     readings: Readings,
     traced: Traced,
     run: Run | None,
-    told: Told,
+    told: OriginBeside,
 ) -> LearnedTaken:
     file = taken.learned()
     if file is None:

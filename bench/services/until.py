@@ -54,7 +54,7 @@ from bench.planning.pool import (
     Pool,
     Reached,
     Site,
-    Wanted,
+    UntilGoal,
     floors,
     pool_of,
     reached_by,
@@ -75,7 +75,7 @@ from bench.results.check import (
 from bench.run.events import Manifest, RecordError
 from bench.run.folder import BENCH, Run
 from bench.run.record import History
-from bench.run.resume import Progress
+from bench.run.resume import PlanProgress
 from bench.run.sentences import size_in_words
 from bench.services.bench_selection import bench_path
 from bench.services.calibration import CalibrationResult, calibration_of
@@ -97,7 +97,7 @@ _PARTS_TOLD: Final = 3
 
 def stated_aim(texts: Sequence[str], stand: Stand, bench: BenchFile) -> Aim:
     """Return the goals of `--until`, several in a text with commas between. Raises `Refused` with all mistakes."""
-    wanted: list[Wanted] = []
+    wanted: list[UntilGoal] = []
     limit_s: float | None = None
     sizes: dict[bool, dict[str, float]] = {False: {}, True: {}}
     mistakes = []
@@ -122,12 +122,12 @@ def stated_aim(texts: Sequence[str], stand: Stand, bench: BenchFile) -> Aim:
     if mistakes:
         raise Refused("\n".join(mistakes))
     for combined, asked_of in sizes.items():
-        wanted += [Wanted(goal, combined) for goal in coefficient_goals(asked_of)]
+        wanted += [UntilGoal(goal, combined) for goal in coefficient_goals(asked_of)]
     if not wanted and limit_s is None:
         raise Refused(f"--until: say what is to be reached, such as {EXAMPLE}")
     if not wanted:
-        return Aim((Wanted(vector_goal(stand.block, 1.0, NO_GOAL)),), limit_s)
-    whole = Wanted(whole_goal(stand.block, [one.goal for one in wanted]))
+        return Aim((UntilGoal(vector_goal(stand.block, 1.0, NO_GOAL)),), limit_s)
+    whole = UntilGoal(whole_goal(stand.block, [one.goal for one in wanted]))
     return Aim((*wanted, whole), limit_s)
 
 
@@ -137,7 +137,7 @@ def _positive(text: str, size: float) -> float:
     return size
 
 
-def _of_force(name: str, asked: float, stand: Stand, bench: BenchFile, combined: bool) -> list[Wanted]:
+def _of_force(name: str, asked: float, stand: Stand, bench: BenchFile, combined: bool) -> list[UntilGoal]:
     if name == "delta-g" and combined:
         raise Refused(
             "--until combined:delta-g: of Δg only what the readings show is chosen by, for gain and zero of the "
@@ -151,7 +151,7 @@ def _of_force(name: str, asked: float, stand: Stand, bench: BenchFile, combined:
             goals = [replace(vector_goal(stand.block, 1.0, asked), asked=_asked(asked))]
         case _:
             goals = modulus_goals(stand.block, bench.unit_under_test.range, asked)
-    return [Wanted(goal, combined) for goal in goals]
+    return [UntilGoal(goal, combined) for goal in goals]
 
 
 def _asked(size: float) -> float:
@@ -230,7 +230,7 @@ class Until:
         self._chooser = chooser_of(run.plan, bench, run.manifest.get("until", []), learned)
         self._point_of = {point.reads[0]: point for point in self._chooser.pool.points}
 
-    def __call__(self, index: int, progress: Progress) -> dict[str, Any] | None:
+    def __call__(self, index: int, progress: PlanProgress) -> dict[str, Any] | None:
         """Return what is chosen at a step, None where there is nothing to choose."""
         pool = self._chooser.pool
         last = progress.chosen[-1] if progress.chosen else None
@@ -251,7 +251,7 @@ class Until:
         choice = self._chooser.choose(self._standing(visited, refused, progress))
         return replace(choice, left_out=choice.left_out | needless).to_json()
 
-    def _standing(self, visit: int, refused: frozenset[Mounting], progress: Progress) -> Standing:
+    def _standing(self, visit: int, refused: frozenset[Mounting], progress: PlanProgress) -> Standing:
         """Return what the record on the disk says."""
         history = Run(self._run.folder).trusted_history()
         taken = {step: r for step, r in history.readings.items() if step in self._point_of}
@@ -304,7 +304,7 @@ class Until:
         return reached_by(self._chooser.aim, own.covariance_readings, own.covariance)
 
 
-def until_of(run: Run, bench: BenchFile) -> Callable[[int, Progress], dict[str, Any] | None]:
+def until_of(run: Run, bench: BenchFile) -> Callable[[int, PlanProgress], dict[str, Any] | None]:
     """Return what chooses for a run that goes on until it is good enough; for any other nothing is chosen."""
     return Until(run, bench) if run.manifest.get("until") else lambda index, progress: None
 

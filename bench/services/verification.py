@@ -37,7 +37,7 @@ from bench.services.source import Source
 
 
 @dataclass(frozen=True)
-class Asked:
+class VerdictOptions:
     """How a verdict is to be found in place of what the bench file says; None leaves it to that.
 
     `limit_g` of |Δg| in g, `rule` and its guard band in U, `population` (mean, standard deviation of Δg in g).
@@ -49,14 +49,14 @@ class Asked:
     population: tuple[float, float] | None = None
 
     @classmethod
-    def of(cls, request: Judging) -> Asked:
+    def of(cls, request: Judging) -> VerdictOptions:
         """Return what a request asks for. Raises `Refused` as `check`."""
         asked = cls(request.limit, request.rule, request.guard_band, request.population)
         asked.check()
         return asked
 
     @classmethod
-    def of_run(cls, run: Run | None) -> Asked:
+    def of_run(cls, run: Run | None) -> VerdictOptions:
         """Return what was asked for when a run was begun."""
         recorded = {} if run is None else run.manifest.get("verdict", {})
         return cls(recorded.get("limit_g"), recorded.get("rule"), recorded.get("guard_band"))
@@ -91,7 +91,7 @@ class Asked:
             raise Refused("; ".join(mistakes))
 
 
-NOTHING_ASKED: Final = Asked()
+NOTHING_ASKED: Final = VerdictOptions()
 NOBODY_STATED_ONE: Final = DecisionRule()
 
 
@@ -103,7 +103,7 @@ class Judgement:
     rule: DecisionRule
     population: Population | None
 
-    def but(self, asked: Asked) -> Judgement:
+    def but(self, asked: VerdictOptions) -> Judgement:
         """Return what was asked for, in place of what there is; a guard band goes with its own rule alone."""
         rule = self.rule
         if asked.guard_band is not None:
@@ -118,7 +118,9 @@ class Judgement:
         )
 
 
-def judgement_of(bench: BenchFile, *asked: Asked, default: DecisionRule = NOBODY_STATED_ONE) -> Judgement:
+def judgement_of(
+    bench: BenchFile, *asked: VerdictOptions, default: DecisionRule = NOBODY_STATED_ONE
+) -> Judgement:
     """Return by what a verdict is found: what was asked for, the last first, else what the bench file says.
 
     Where neither names a rule it is the `default`. Raises `Refused` as `Asked.check`, and `CalibrationError` for a
@@ -136,13 +138,13 @@ def judgement_of(bench: BenchFile, *asked: Asked, default: DecisionRule = NOBODY
     return judgement
 
 
-def own_judgement(source: Source, *asked: Asked, agreed: DecisionRule | None = None) -> Judgement:
+def own_judgement(source: Source, *asked: VerdictOptions, agreed: DecisionRule | None = None) -> Judgement:
     """Return by what the verdict on a source is found: of a run as it was begun, unless more is asked for.
 
     `agreed` holds where neither the run nor its bench file names a rule.
     """
     return judgement_of(
-        source.bench, Asked.of_run(source.run), *asked, default=agreed or _default_of(source.run)
+        source.bench, VerdictOptions.of_run(source.run), *asked, default=agreed or _default_of(source.run)
     )
 
 

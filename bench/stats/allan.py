@@ -122,7 +122,7 @@ def _kernel(t: Floats, alpha: int) -> Floats:
 
 
 @dataclass(frozen=True)
-class Term:
+class NoiseTerm:
     """A noise term: its symbol, what it is called, its unit over the signal's, how it enters sigma^2.
 
     sigma^2 = `factor` x^2 tau^`power`; `alpha` is the power of frequency in its spectrum; `alike` the
@@ -139,11 +139,11 @@ class Term:
 
 
 TERMS: Final = (
-    Term("Q", "quantisation", " s", 3.0, -2, 2, 0.5),
-    Term("N", "white noise", "/√Hz", 1.0, -1, 0, 0.55),
-    Term("B", "bias instability", "", 2.0 * float(np.log(2.0)) / np.pi, 0, -1, 0.7),
-    Term("K", "rate random walk", "/√s", 1.0 / 3.0, 1, -2, 0.9),
-    Term("R", "drift", "/s", 0.5, 2, -2, 0.95),
+    NoiseTerm("Q", "quantisation", " s", 3.0, -2, 2, 0.5),
+    NoiseTerm("N", "white noise", "/√Hz", 1.0, -1, 0, 0.55),
+    NoiseTerm("B", "bias instability", "", 2.0 * float(np.log(2.0)) / np.pi, 0, -1, 0.7),
+    NoiseTerm("K", "rate random walk", "/√s", 1.0 / 3.0, 1, -2, 0.9),
+    NoiseTerm("R", "drift", "/s", 0.5, 2, -2, 0.95),
 )
 SHOWN: Final = 2.0
 """A term is shown when its square is more than this many standard uncertainties from nothing."""

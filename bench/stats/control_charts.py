@@ -160,7 +160,7 @@ class Centre:
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedDeviations:
     """Deviations from the centre (…, n, p) with their `u`, `z` = deviation/u with its probability `p`.
 
     `t2` (…, n) is the joint statistic of all coefficients, `p_joint` its probability.
@@ -215,7 +215,7 @@ def judge(
     shared: Floats | None = None,
     *,
     settled: bool = False,
-) -> Judged:
+) -> JudgedDeviations:
     """Judge runs (…, n, p), in their order, with covariances (n, p, p) against a centre.
 
     With `smoothing` below 1 it is their EWMA, Z_t = smoothing r_t + (1 - smoothing) Z_{t-1} of the deviations r
@@ -246,7 +246,7 @@ def judge(
     u = unscaled * np.sqrt(scale)[..., None]
     z = deviation / u
     t2 = np.sum((z[..., None, :] @ weights)[..., 0, :] * z, axis=-1)
-    return Judged(deviation, u, z, centre.p_single(z), t2, centre.p_joint(t2))
+    return JudgedDeviations(deviation, u, z, centre.p_single(z), t2, centre.p_joint(t2))
 
 
 def without_one(values: Floats, covariances: Floats, basis: Basis) -> Floats | None:
@@ -276,7 +276,7 @@ DEFAULT_SMOOTHING: Final = 0.2
 
 
 @dataclass(frozen=True)
-class Design:
+class ChartDesign:
     """The average run length between false alarms of the whole, the smoothing of the EWMA, what limits are from.
 
     A rate is shared in equal parts by the three statistics that reject: for rare alarms their rates add up.

@@ -106,7 +106,7 @@ class Crossing:
 
 
 @dataclass(frozen=True)
-class At:
+class MixedModelEquations:
     """The equations of mixed models at some sizes, of groups and benches: units are eliminated.
 
     `w` (n,) are weights, `W` (U,) their sums over units, `s` (U,) what eliminating a unit takes off; `lower`
@@ -183,7 +183,7 @@ def _sums(crossing: Crossing, weighed: Floats, size: float) -> Floats:
     return np.concatenate([groups, size * np.bincount(crossing.bench, weighed, crossing.benches)])
 
 
-def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> At:
+def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> MixedModelEquations:
     """Set the equations up and solve them, for values `y` (n,) of stated `variance` (n,) and sizes (3,), 1 sigma.
 
     A size of units that is infinite takes the units as fixed: then only differences within units count.
@@ -222,7 +222,7 @@ def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> At:
     misfit = within + float(np.sum(between * mean**2)) - float(right @ solution)
     logs = -float(np.sum(np.log(w))) + 2.0 * float(np.sum(np.log(np.diag(lower))))
     logs += float(np.sum(np.log(W if fixed_units else 1.0 + sizes[UNIT] ** 2 * W)))
-    return At(crossing, sizes, w, W, s, lower, solution, -0.5 * (logs + misfit))
+    return MixedModelEquations(crossing, sizes, w, W, s, lower, solution, -0.5 * (logs + misfit))
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ class Crossed:
     `variance` (n,) are the stated ones, `variance_covariance` (3, 3) is that of the squares of the sizes.
     """
 
-    at: At
+    at: MixedModelEquations
     y: Floats
     variance: Floats
     variance_covariance: Floats
@@ -344,7 +344,7 @@ def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
     return np.array([max(between, 0.1 * within), within, within])
 
 
-def _variance_covariance(at: At, y: Floats) -> Floats:
+def _variance_covariance(at: MixedModelEquations, y: Floats) -> Floats:
     """Return the covariance (3, 3) of the variances; nothing for those that are zero, or infinite."""
     free = np.flatnonzero((at.sizes > 0) & np.isfinite(at.sizes))
     covariance = np.zeros((3, 3))

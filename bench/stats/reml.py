@@ -28,14 +28,14 @@ LEAST: Final = 1e-6
 
 
 @dataclass(frozen=True)
-class Columns:
+class ComponentColumns:
     """Components side by side: `whole` (N, q), few entries in a column; `starts` (k,) says where each begins."""
 
     whole: sparse.csc_array
     starts: Ints
 
     @classmethod
-    def of(cls, Z: Sequence[Floats]) -> Columns:
+    def of(cls, Z: Sequence[Floats]) -> ComponentColumns:
         """Take dense components of (N, q_k)."""
         widths = [z.shape[1] for z in Z]
         return cls(sparse.csc_array(np.concatenate(list(Z), axis=1)), np.cumsum([0, *widths[:-1]]))
@@ -61,9 +61,9 @@ class Mixed:
     known: Floats
 
     @cached_property
-    def columns(self) -> Columns:
+    def columns(self) -> ComponentColumns:
         """All components side by side."""
-        return Columns.of(self.Z)
+        return ComponentColumns.of(self.Z)
 
     def covariance(self, theta: Floats) -> Floats:
         """Return V (N, N) for variances (k,)."""
@@ -93,22 +93,22 @@ class Projection:
         P = inverse - back @ back.T
         return cls(P, P @ mixed.y)
 
-    def scores(self, Z: Columns) -> Floats:
+    def scores(self, Z: ComponentColumns) -> Floats:
         """Return the slope of ln L by each variance, shape (k,)."""
         traces = Z.sums(np.asarray(Z.whole.multiply(self.P @ Z.whole).sum(axis=0)).ravel())
         return np.asarray(0.5 * (self._squares(Z) - traces))
 
-    def _squares(self, Z: Columns) -> Floats:
+    def _squares(self, Z: ComponentColumns) -> Floats:
         return Z.sums((Z.whole.T @ self.Py) ** 2)
 
-    def moments(self, Z: Columns) -> tuple[Floats, Floats, Floats]:
+    def moments(self, Z: ComponentColumns) -> tuple[Floats, Floats, Floats]:
         """Return the slopes of ln L (k,), tr(P V_k) (k,) and the information 1/2 tr(P V_k P V_l) (k, k)."""
         crossed = Z.whole.T @ (self.P @ Z.whole)
         traces = Z.sums(np.diag(crossed))
         information = 0.5 * Z.sums(Z.sums(crossed**2).T)
         return 0.5 * (self._squares(Z) - traces), traces, np.asarray(information)
 
-    def average_information(self, Z: Columns) -> Floats:
+    def average_information(self, Z: ComponentColumns) -> Floats:
         """Return 1/2 y^T P V_k P V_l P y, shape (k, k)."""
         by_column = Z.whole.T @ self.Py
         ends = [*Z.starts[1:], len(by_column)]
@@ -166,7 +166,7 @@ def maximise(
 
 
 @dataclass(frozen=True)
-class Asked:
+class ComponentsAsked:
     """What is asked for of components that are not yet in, (k,) each.
 
     `chance` is the probability of such a score where there is none; `expected` the mean of the variance that the
@@ -177,7 +177,7 @@ class Asked:
     expected: Floats
 
 
-def asked_for(at: Projection, Z: Columns, inside: int, dof: float) -> Asked:
+def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> ComponentsAsked:
     """Return what is asked for of the components after the first `inside`.
 
     The first `inside` components are those whose variances are being estimated: what they take is taken off the
@@ -208,7 +208,7 @@ def asked_for(at: Projection, Z: Columns, inside: int, dof: float) -> Asked:
     # the mean of a normal distribution that ends at zero; far below zero its tail is that of u/|size|
     tail = np.exp(-0.5 * size**2 - special.log_ndtr(size)) / np.sqrt(2.0 * np.pi)
     expected = np.where(told, u * np.maximum(np.where(told, size, 0.0) + tail, 0.0), 0.0)
-    return Asked(chance, expected)
+    return ComponentsAsked(chance, expected)
 
 
 # --- along one size -----------------------------------------------------------------------------------

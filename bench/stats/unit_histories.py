@@ -88,7 +88,7 @@ def histories(unit: Ints, bench: Ints, years: Floats) -> Histories:
 
 
 @dataclass(frozen=True)
-class Point:
+class HistoryLikelihood:
     """The restricted likelihood at variances (4,) of benches, scatter, rates and walks, a constant apart.
 
     `slope` (4,) by the variances, `information` (4, 4) the average one.
@@ -137,10 +137,10 @@ class Within:
         walk = sum(float(np.einsum("mrr->", one.walk)) for one, _, _ in self._data) / dof
         return np.array([square, square, square / max(time, 1e-12), square / max(walk, 1e-12)])
 
-    def at(self, variances: Floats) -> Point:
+    def at(self, variances: Floats) -> HistoryLikelihood:
         """Return likelihood, its slope and the information at variances (4,)."""
         likelihood, kept, G, h, X = self._solved(variances)
-        return Point(variances, likelihood, *_curved(kept, G, h, X))
+        return HistoryLikelihood(variances, likelihood, *_curved(kept, G, h, X))
 
     def likelihood(self, variances: Floats) -> float:
         """Return the restricted likelihood at variances (4,), a constant apart."""
@@ -170,7 +170,7 @@ class Within:
         likelihood = -0.5 * (logs + float(np.linalg.slogdet(A)[1]) + float(sums[0, 0]) - float(h @ X @ h))
         return likelihood, kept, G, h, X
 
-    def fit(self, kept: Sequence[int], scatter: float = 0.0) -> Point:
+    def fit(self, kept: Sequence[int], scatter: float = 0.0) -> HistoryLikelihood:
         """Return the greatest likelihood where `kept` sizes alone are above zero, or `scatter` is a variance."""
         scale = self.scales
         places = list(kept)
@@ -190,7 +190,7 @@ class Within:
         )  # fmt: skip
         return self.at(full(np.where(found.x < LEAST_PART, 0.0, found.x)))
 
-    def profile(self, best: Point, which: int, free: Sequence[int]) -> Profile:
+    def profile(self, best: HistoryLikelihood, which: int, free: Sequence[int]) -> Profile:
         """Return the likelihood along one size, from the greatest where `free` sizes are above zero."""
         return profile_of(
             self.likelihood, best.variances, best.information, which, free, float(np.sqrt(self.scales[which]))
@@ -230,7 +230,7 @@ def _curved(kept: Sequence[Weighed], G: Floats, h: Floats, X: Floats) -> tuple[F
 
 
 @dataclass(frozen=True)
-class Spread:
+class CalibrationSpread:
     """What a laboratory's calibrations scatter by when units' own drift is taken out, 1 sigma each.
 
     `scatter` beyond the stated u: the root of the mean square over the sizes that the likelihood leaves, so that
@@ -254,7 +254,7 @@ class Spread:
         return self.p < SHOWN_P
 
 
-def spread_of(within: Within, *, several: bool, drifts: bool = True) -> Spread:
+def spread_of(within: Within, *, several: bool, drifts: bool = True) -> CalibrationSpread:
     """Return scatter and benches (where there are `several`) apart from what units drift by.
 
     A rate or a walk that is not shown is not taken out: what may be either counts as scatter; all of it, where
@@ -276,17 +276,17 @@ def spread_of(within: Within, *, several: bool, drifts: bool = True) -> Spread:
     mean = spread.mean()
     bench_most = within.profile(chosen, BENCH, free).most() if several else float("nan")
     sizes = np.sqrt(chosen.variances)
-    return Spread(
+    return CalibrationSpread(
         mean, _least(within, moving, first, mean), spread.most(), float(sizes[BENCH]) if several else float("nan"),
         bench_most, float(sizes[RATE]), float(sizes[WALK]), p,
     )  # fmt: skip
 
 
-def _gained(more: Point, fewer: Point) -> float:
+def _gained(more: HistoryLikelihood, fewer: HistoryLikelihood) -> float:
     return 2.0 * max(0.0, more.likelihood - fewer.likelihood)
 
 
-def _least(within: Within, moving: Point, first: Sequence[int], mean: float) -> float:
+def _least(within: Within, moving: HistoryLikelihood, first: Sequence[int], mean: float) -> float:
     """Return what the scatter is above with 95 %, whatever of it may be a drift; 0 where none is shown."""
     others = [j for j in (*first, RATE, WALK) if j != SCATTER]
     end = float(np.sqrt(moving.variances[SCATTER]))

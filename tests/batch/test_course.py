@@ -7,7 +7,7 @@ import pytest
 from bench.batch import store as course_module
 from bench.batch.job import CALIBRATE, Job
 from bench.batch.outcome import asked_of, conclude
-from bench.batch.store import Course, Store, fingerprint, list_runs
+from bench.batch.store import PartWriter, Store, fingerprint, list_runs
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
 from bench.services.errors import Refused
@@ -63,7 +63,7 @@ def carried_out(folder, runs, rows, job=None, over=OVER, clock=None):
     job = job or Job(CALIBRATE)
     with Store(folder) as store:
         left = store.begin(job, over, runs)
-        Course(store, job.command, *([clock] if clock else [])).carry_out(left, rows)
+        PartWriter(store, job.command, *([clock] if clock else [])).carry_out(left, rows)
         return left, conclude(store)
 
 
@@ -89,7 +89,7 @@ def test_what_is_done_is_not_done_again(runs, tmp_path):
 
 def test_rows_of_a_program_that_is_killed_are_those_of_whole_parts(runs, tmp_path, monkeypatch):
     monkeypatch.setattr(course_module, "PART_ROWS", 2)
-    monkeypatch.setattr(Course, "_write", _written_when_full(Course._write))
+    monkeypatch.setattr(PartWriter, "_write", _written_when_full(PartWriter._write))
     with pytest.raises(Stopped):
         carried_out(tmp_path / "out", runs, Rows(stop=5))
     (tmp_path / "out" / "parts" / "part-0000003.parquet.writing").write_bytes(b"half")

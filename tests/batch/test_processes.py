@@ -10,7 +10,7 @@ from bench.batch import processes
 from bench.batch.job import CALIBRATE, Job, program
 from bench.batch.outcome import asked_of, conclude
 from bench.batch.processes import TRIES, _Pool, by_processes, by_scheduler, of_program
-from bench.batch.store import Course, Store
+from bench.batch.store import PartWriter, Store
 from bench.batch.work import worked
 from bench.services.errors import Refused
 from tests.support.many_runs import runs_in
@@ -200,7 +200,7 @@ def test_a_worker_killed_in_the_middle_loses_and_repeats_nothing(workers, tmp_pa
 
     with Store(tmp_path / "out") as store:
         left = store.begin(job, ["runs"], runs)
-        Course(store, job.command).carry_out(left, computed)
+        PartWriter(store, job.command).carry_out(left, computed)
         outcome = conclude(store)
     assert len(killed) == 1
     assert outcome.runs.computed == len(runs)

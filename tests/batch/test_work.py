@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.batch.job import CALIBRATE, COLUMNS, DIAGNOSE, Job, arrow_schema
-from bench.batch.work import Found, change_in_u, changes, worked
+from bench.batch.work import CalibrationValues, change_in_u, changes, worked
 from bench.model.geometry import COEFFICIENTS
 from tests.support.many_runs import edited, runs_in
 
@@ -19,7 +19,7 @@ def run(tmp_path):
 
 
 def found(values, u, unit="V", p=0.5):
-    return Found("gls", "paper", unit, 9.81, np.array(values, float), np.array(u, float), p, 54)
+    return CalibrationValues("gls", "paper", unit, 9.81, np.array(values, float), np.array(u, float), p, 54)
 
 
 def test_a_run_whose_stored_result_is_of_today_has_not_changed(run):

@@ -12,7 +12,7 @@ from bench.calibration.conformity import (
     RULES,
     SIMPLE,
     DecisionRule,
-    Known,
+    MeasuredValues,
     Population,
     Statement,
     coverage_factor,
@@ -84,7 +84,7 @@ def test_the_coverage_factor_keeps_the_level_of_two():
 def test_what_a_rule_accepts_and_states(name, band, value, accepted, statement):
     """Limit 1, U = 0.3 (ILAC-G8:09/2019, 4.2): guard bands of U, and of other parts of it."""
     rule = DecisionRule.of(name, band)
-    known = Known.of(0.15)
+    known = MeasuredValues.of(0.15)
     assert bool(abs(value) <= rule.acceptance_limit(1.0, known)) is accepted
     assert rule.statements(np.array([value]), 1.0, known) == [statement]
 
@@ -92,11 +92,11 @@ def test_what_a_rule_accepts_and_states(name, band, value, accepted, statement):
 @pytest.mark.parametrize("name", [*RULES, None])
 def test_beyond_the_limit_u_allows_no_statement_but_a_failure(name):
     rule = DecisionRule.of(name)
-    known = Known.of(np.full(VALUES.shape, 0.505))
+    known = MeasuredValues.of(np.full(VALUES.shape, 0.505))
     for value, statement in zip(VALUES, rule.statements(VALUES, 1.0, known), strict=True):
         assert statement is (Statement.FAIL if abs(value) > 2.01 else Statement.INCONCLUSIVE)
     assert np.all(rule.acceptance_limit(1.0, known) < 0.0)
-    unknown = Known.of(float("nan"))
+    unknown = MeasuredValues.of(float("nan"))
     assert rule.statements(np.zeros(1), 1.0, unknown) == [Statement.INCONCLUSIVE]
     assert np.isnan(rule.acceptance_limit(1.0, unknown))
 
@@ -107,7 +107,9 @@ def test_beyond_the_limit_u_allows_no_statement_but_a_failure(name):
 def test_risks_of_guard_bands_are_those_of_ilac_g8(band, risk):
     """ILAC-G8:09/2019, table 1: the largest specific risk of a value accepted with w = r U, k = 2."""
     u = 0.1
-    at = DecisionRule.of(GUARDED if band else SIMPLE, band or None).acceptance_limit(1.0, Known.of(u))
+    at = DecisionRule.of(GUARDED if band else SIMPLE, band or None).acceptance_limit(
+        1.0, MeasuredValues.of(u)
+    )
     worst = probability_outside(at, u, 1.0).item()
     assert 0.8 * risk < worst <= risk or band == 3.0
     assert worst <= risk
@@ -117,7 +119,7 @@ def test_risks_of_guard_bands_are_those_of_ilac_g8(band, risk):
 @pytest.mark.parametrize("ratio", [1.0, 1.05, 1.5, 4.0])
 def test_without_a_rule_it_is_accepted_up_to_five_per_cent(dof, ratio):
     """JCGM 106:2012, 8.3.2: the guard band is where a twentieth of the distribution lies outside."""
-    known = Known.of(0.1, dof)
+    known = MeasuredValues.of(0.1, dof)
     limit = ratio * known.expanded.item()
     rule = DecisionRule.of(None)
     at = rule.acceptance_limit(limit, known).item()
@@ -279,11 +281,11 @@ def test_a_population_without_bounds_tells_nothing():
 def test_with_a_population_the_guard_band_is_where_its_risk_is(mean, deviation):
     """On the worse side five per cent, never beyond the limit; nothing where the mean is too far out."""
     population = Population(mean, deviation)
-    at = DecisionRule.of(None).acceptance_limit(2.0, Known.of(0.8, population=population)).item()
+    at = DecisionRule.of(None).acceptance_limit(2.0, MeasuredValues.of(0.8, population=population)).item()
     worst = max(after(side * at, 0.8, np.inf, population, 2.0) for side in (1, -1))
     assert worst == pytest.approx(0.05, rel=1e-3) if at < 2.0 else worst <= 0.05
     assert (at == 2.0) is (deviation == 0.2)
-    hopeless = Known.of(0.8, population=Population(3.0, 0.5))
+    hopeless = MeasuredValues.of(0.8, population=Population(3.0, 0.5))
     assert DecisionRule.of(None).acceptance_limit(2.0, hopeless) < 0
 
 

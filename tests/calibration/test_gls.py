@@ -18,7 +18,7 @@ from bench.calibration.budget.coefficients import make_budget
 from bench.calibration.design import make_problem
 from bench.calibration.estimators import GLS, find_estimator
 from bench.calibration.gls import Estimator
-from bench.calibration.noise import Residuals, noise_from_residuals
+from bench.calibration.noise import LikelihoodResiduals, noise_from_residuals
 from bench.model import Block
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import write_csv
@@ -329,7 +329,7 @@ def test_noise_from_residuals_maximises_the_restricted_likelihood():
     design_matrix[:, :, 12:] *= problem.prior_u
     left = readings.signal - problem.predict(block, np.zeros(6))
     columns = np.concatenate([design_matrix, left[:, :, None]], axis=2)
-    of = Residuals(columns, problem.slope(block, np.zeros(6)), np.zeros((0, 19)), 12)
+    of = LikelihoodResiduals(columns, problem.slope(block, np.zeros(6)), np.zeros((0, 19)), 12)
     ours = noise_from_residuals(of, 1e-9)
     np.testing.assert_allclose(np.log([ours.reading, ours.setting_rad]), best.x, atol=2e-3)
     fitted = calibrate(readings, MODEL, STAND_U, 9.81).noise

@@ -14,7 +14,7 @@ from bench.run import listening
 from bench.run.events import Wish
 from bench.run.folder import Run
 from bench.run.listening import Asker
-from bench.run.person import LeftAnswer, RunControl, Who, leave_answer, leave_wish
+from bench.run.person import LeftAnswer, RunControl, WishAuthor, leave_answer, leave_wish
 from bench.services.execution import accept_changes
 from benchmarks.answering_campaign import Hands, amiss, answer_to, one
 from benchmarks.kill_campaign import differences
@@ -97,7 +97,9 @@ def test_a_run_that_was_stopped_in_the_panel_goes_on_with_a_living_person(points
     class Stopping(Hands):
         def _act(self, prompt):
             if "1.1.2" in prompt.id:
-                leave_wish(self.folder, RunControl(Wish.STOP, "tea", who=Who("Eve", "viewer", "panel")))
+                leave_wish(
+                    self.folder, RunControl(Wish.STOP, "tea", who=WishAuthor("Eve", "viewer", "panel"))
+                )
             else:
                 super()._act(prompt)
 
@@ -140,7 +142,7 @@ def test_files_that_were_changed_before_a_run_goes_on_are_asked_about_in_the_fol
     def tell(kind, data):
         if kind == "asked":
             asked.append(data)
-            leave_answer(tmp_path, LeftAnswer(data["id"], answer, Who("Ann", "operator", "panel")))
+            leave_answer(tmp_path, LeftAnswer(data["id"], answer, WishAuthor("Ann", "operator", "panel")))
 
     asker = Asker(tmp_path, SimpleNamespace(count=41), tell)
     with nullcontext() if answer == "yes" else pytest.raises(BenchError, match="answered no"):

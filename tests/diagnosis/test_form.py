@@ -10,11 +10,11 @@ import pytest
 from bench.config.formulas import effects_as_written, written_formulas
 from bench.diagnosis import Threshold
 from bench.diagnosis.linear import make_linear
-from bench.diagnosis.naming import Found, Naming
+from bench.diagnosis.naming import FoundEffect, Naming
 from bench.diagnosis.noise_grid import RATIOS, Repeats, noise_of_repeats
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.residual_dictionary import make_dictionary
-from bench.diagnosis.residual_model import Dark, Setting, describe, unnamed_in_place
+from bench.diagnosis.residual_model import SearchSettings, UnexplainedScatter, describe, unnamed_in_place
 from bench.model import AppliedEffect, Stage
 from bench.results.diagnosis_parts import form_part
 from tests.support.diagnosis_bench import MODEL, NOISE_V, paper_run, set_up
@@ -31,7 +31,7 @@ def with_added(readings, volts):
 
 def form_of(readings):
     linear = make_linear(readings, MODEL, STAND_U)
-    about = Setting(NOISE_V, SETTING_U_RAD, RATIOS[2:5], LIMIT)
+    about = SearchSettings(NOISE_V, SETTING_U_RAD, RATIOS[2:5], LIMIT)
     repeats = noise_of_repeats(linear, readings.resolution)
     return describe(linear, np.zeros((len(linear), 0)), repeats, about)
 
@@ -133,24 +133,24 @@ def test_terms_in_the_model_keep_their_names(run):
         linear,
         np.zeros((len(linear), 0)),
         noise_of_repeats(linear, 0.0),
-        Setting(NOISE_V, SETTING_U_RAD, RATIOS[2:5], LIMIT),
+        SearchSettings(NOISE_V, SETTING_U_RAD, RATIOS[2:5], LIMIT),
     )
     assert all(one.effect.name != "unnamed_1" for one in again.terms)
 
 
 def test_what_stays_dark_has_its_own_u_and_a_limit():
     repeats = Repeats(10e-6, 36)
-    there = Dark.of(NoiseSize(15e-6, 16e-6, 150), repeats)
+    there = UnexplainedScatter.of(NoiseSize(15e-6, 16e-6, 150), repeats)
     assert there.there
     assert there.value == pytest.approx(np.sqrt(15**2 - 10**2) * 1e-6)
     assert 0.5e-6 < there.u < 3e-6
     assert there.value + there.u < there.upper < there.value + 4 * there.u
-    chance = Dark.of(NoiseSize(10.2e-6, 16e-6, 150), repeats)
+    chance = UnexplainedScatter.of(NoiseSize(10.2e-6, 16e-6, 150), repeats)
     assert not chance.there
     assert 2e-6 < chance.upper < 10e-6
     # smaller than the repeats by chance: no smaller limit for it
-    assert Dark.of(NoiseSize(9e-6, 16e-6, 150), repeats).upper > 2e-6
-    assert Dark.of(NoiseSize(9e-6, 16e-6, 70), repeats).upper == np.inf
+    assert UnexplainedScatter.of(NoiseSize(9e-6, 16e-6, 150), repeats).upper > 2e-6
+    assert UnexplainedScatter.of(NoiseSize(9e-6, 16e-6, 70), repeats).upper == np.inf
 
 
 # --- a name is none where something without a name explains the readings as well: in its place, or beside it ----
@@ -166,7 +166,7 @@ def suspects(volts_of, family, channels=None):
         for v in ready.candidates.variants
         if v.family == family and (channels is None or v.channels == channels)
     )
-    naming = Naming((Found(variant, 0.0, 0.0, 0.0),), -1.0)
+    naming = Naming((FoundEffect(variant, 0.0, 0.0, 0.0),), -1.0)
     data = ready.whitened.reduce(ready.linear.response[:, None])
     return unnamed_in_place(ready.linear, ready.whitened, data, naming, (), SETTING_U_RAD)
 

@@ -9,7 +9,7 @@ from bench.diagnosis import Threshold
 from bench.diagnosis.multi_run_system import make_system
 from bench.diagnosis.noise_grid import RATIOS, noise_of_repeats
 from bench.diagnosis.residual_dictionary import make_dictionary
-from bench.diagnosis.residual_model import Setting, describe
+from bench.diagnosis.residual_model import SearchSettings, describe
 from bench.model import AppliedEffect
 from bench.readings.table import JoinedPart, together
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND_U, paper_run
@@ -66,7 +66,7 @@ def test_terms_are_those_of_one_run_and_add_the_same_to_every_block(system):
 
 @pytest.mark.slow
 def test_a_form_of_the_bench_is_found_in_several_blocks_at_once(system):
-    about = Setting(NOISE_V, SETTING_U_RAD, RATIOS[2:5], LIMIT)
+    about = SearchSettings(NOISE_V, SETTING_U_RAD, RATIOS[2:5], LIMIT)
     repeats = noise_of_repeats(system, system.readings.resolution)
     form = describe(system, np.zeros((len(system), 0)), repeats, about)
     (term,) = form.terms

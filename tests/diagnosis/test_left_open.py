@@ -8,7 +8,7 @@ import pytest
 from bench.config.model_file import load_model, write_model_file
 from bench.diagnosis.confirm import confirm
 from bench.diagnosis.linear import make_linear
-from bench.diagnosis.naming import Found, Naming
+from bench.diagnosis.naming import FoundEffect, Naming
 from bench.diagnosis.posterior import (
     NoiseSize,
     applied_of,
@@ -44,7 +44,7 @@ def found():
         for v in ready.candidates.variants
         if v.family == "warm_up" and v.channels == (0,) and v.shape == shape
     )
-    naming = Naming((Found(variant, 100.0, 100.0, 30.0),), -1.0)
+    naming = Naming((FoundEffect(variant, 100.0, 100.0, 30.0),), -1.0)
     sized = fit_found(ready.linear, ready.candidates, naming, NOISE)
     others = beside(ready.candidates, naming, sized)
     fitted = fit_found(with_other_shapes(ready.linear, others[0]), ready.candidates, naming, NOISE)

@@ -8,7 +8,7 @@ from scipy import special
 from scipy.linalg import null_space
 from scipy.stats import multivariate_normal
 
-from bench.diagnosis.naming import Found, Naming
+from bench.diagnosis.naming import FoundEffect, Naming
 from bench.diagnosis.posterior import (
     NoiseSize,
     beside,
@@ -38,7 +38,7 @@ def found(ready, *wanted):
         next(v for v in ready.candidates.variants if v.family == family and len(v.columns) == columns)
         for family, columns in wanted
     ]
-    return Naming(tuple(Found(v, 100.0, 100.0, 30.0) for v in variants), -1.0)
+    return Naming(tuple(FoundEffect(v, 100.0, 100.0, 30.0) for v in variants), -1.0)
 
 
 def mixture(ready, naming):
@@ -142,7 +142,7 @@ def named(ready, channels, tau_min):
         for v in ready.candidates.variants
         if v.family == "warm_up" and v.channels == channels and v.shape == shape
     )
-    return Naming((Found(wanted, 100.0, 100.0, 30.0),), -1.0)
+    return Naming((FoundEffect(wanted, 100.0, 100.0, 30.0),), -1.0)
 
 
 def settling(readings, sizes_v, taus_min):
@@ -181,7 +181,7 @@ def test_biases_after_a_fitted_warm_up_are_within_their_u(taus_min):
 def test_what_some_channels_have_another_may_have_as_far_as_that_is_plausible():
     ready = set_up(paper_run(np.random.default_rng(5), directions=(1, -1, 1)))
     drift = next(v for v in ready.candidates.variants if v.family == "scale_drift" and v.channels == (0, 2))
-    naming = Naming((Found(drift, 100.0, 100.0, 30.0),), -1.0)
+    naming = Naming((FoundEffect(drift, 100.0, 100.0, 30.0),), -1.0)
     sized = fit_found(ready.linear, ready.candidates, naming, NoiseSize(NOISE_V, STAND["setting_error"], 120))
     largest = max(abs(sized.amplitudes)) * ready.candidates.scale[drift.columns[0]]
     ((one,),) = beside(ready.candidates, naming, sized, {0: np.array([1.0, 0.25, 1.0])})
@@ -197,7 +197,7 @@ def test_a_voltmeter_that_is_not_linear_has_no_gain_that_could_be_told():
         for v in ready.candidates.variants
         if v.family == "voltmeter_nonlinearity" and ready.candidates.kinds[v.columns[0]].parameter == "q3"
     )
-    naming = Naming((Found(bent, 100.0, 100.0, 30.0),), -1.0)
+    naming = Naming((FoundEffect(bent, 100.0, 100.0, 30.0),), -1.0)
     sized = fit_found(ready.linear, ready.candidates, naming, NoiseSize(NOISE_V, STAND["setting_error"], 120))
     ((gain,),) = beside(ready.candidates, naming, sized)
     cubic_v = abs(sized.amplitudes[0]) * ready.candidates.scale[bent.columns[0]]

@@ -7,7 +7,7 @@ import pytest
 
 from bench.calibration.result import CalibrationError
 from bench.history.bench_or_block import join, prior_of
-from bench.history.equivalence import STANDARD_GRAVITY, YEAR, Measured, capability
+from bench.history.equivalence import STANDARD_GRAVITY, YEAR, ComparedCalibrations, capability
 from bench.results.fleet import capability_result
 from bench.stats import unit_histories
 from bench.stats.crossed_effects import EXCESS, Crossing, fit
@@ -26,7 +26,7 @@ def measured(rng, units, repeats, spread, *, meters=0.0, benches=1, excess=0.0, 
     values = 50.0 + effect[unit] + own + meters * rng.normal(size=(benches, 12))[bench]
     covariance = np.broadcast_to((1.0 + meters**2) * np.eye(12), (len(unit), 12, 12))
     when = DAY + np.round(np.linspace(0, days, len(unit))).astype("timedelta64[D]")
-    table = Measured(
+    table = ComparedCalibrations(
         np.char.add("A ", unit.astype(str)), np.full(len(unit), "A"), np.char.add("b", bench.astype(str)), when,
         values, covariance, np.full((len(unit), 12), meters), "V", True,
     )  # fmt: skip
@@ -94,7 +94,7 @@ def test_refusals_of_a_prior():
     with pytest.raises(CalibrationError, match="5 units of type A: a prior needs 6 or more"):
         prior_of(few)
     many, _ = measured(np.random.default_rng(1), 12, 2, 1.0)
-    two = Measured(**{**many.__dict__, "kind": np.where(np.arange(24) < 12, "A", "B")})
+    two = ComparedCalibrations(**{**many.__dict__, "kind": np.where(np.arange(24) < 12, "A", "B")})
     with pytest.raises(CalibrationError, match="there are A, B"):
         prior_of(two)
 

@@ -8,7 +8,7 @@ import pytest
 
 from bench.calibration.result import CalibrationError
 from bench.history.control_chart import CheckRun, KnownDrift, Reference, control_chart
-from bench.stats.control_charts import Design, components_of, drift_of, short_term
+from bench.stats.control_charts import ChartDesign, components_of, drift_of, short_term
 
 BEGUN = datetime(2026, 3, 1, 8, tzinfo=UTC)
 U = np.geomspace(1e-5, 1e-4, 12)
@@ -45,11 +45,11 @@ def shifted(name: int, size: float) -> np.ndarray:
 
 def test_a_bench_that_stays_is_in_control_and_one_that_jumps_is_not():
     baseline, later = runs(10), runs(5, seed=2, first=10.0)
-    chart = control_chart(baseline, later, Design())
+    chart = control_chart(baseline, later, ChartDesign())
     assert chart.in_control
     assert [verdict.run for verdict in chart.verdicts] == [run.name for run in later]
     jumped = check_run(20.0, shifted(3, 12.0))
-    chart = control_chart(baseline, [*later, jumped], Design())
+    chart = control_chart(baseline, [*later, jumped], ChartDesign())
     assert not chart.in_control
     (reason,) = chart.verdicts[-1].reasons
     assert reason.startswith("T² = ")
@@ -60,48 +60,48 @@ def test_a_bench_that_stays_is_in_control_and_one_that_jumps_is_not():
 
 def test_a_small_shift_that_lasts_is_seen_by_the_ewma_alone():
     later = [check_run(10.0 + k, shifted(0, 2.5)) for k in range(12)]
-    chart = control_chart(runs(10), later, Design())
+    chart = control_chart(runs(10), later, ChartDesign())
     assert np.all(chart.shewhart.t2 < chart.limit_t2)
     assert "EWMA" in chart.verdicts[-1].reasons[0]
     assert "Kxx +" in chart.verdicts[-1].reasons[0]
     # once the bench is mended the memory begins anew
     mended = [*later, check_run(30.0)]
-    begun = control_chart(runs(10), mended, Design(), restarted=BEGUN + timedelta(days=29))
-    carried = control_chart(runs(10), mended, Design())
+    begun = control_chart(runs(10), mended, ChartDesign(), restarted=BEGUN + timedelta(days=29))
+    carried = control_chart(runs(10), mended, ChartDesign())
     assert begun.in_control
     assert abs(begun.ewma.z[-1, 0]) < 1.0 < carried.ewma.z[-1, 0]
 
 
 def test_noise_is_judged_by_itself():
-    chart = control_chart(runs(10), [check_run(11.0, s=2e-4)], Design())
+    chart = control_chart(runs(10), [check_run(11.0, s=2e-4)], ChartDesign())
     (reason,) = chart.verdicts[0].reasons
     assert "2.00 times that of the baseline (F = 4.00 for 36 and 360)" in reason
 
 
 def test_limits_come_closer_with_more_runs_and_are_those_of_known_u_in_the_end():
-    limits = [control_chart(runs(count), [], Design()).limit_t2 for count in (3, 5, 10, 60)]
-    believed = control_chart(runs(3), [], Design(basis="stated"))
+    limits = [control_chart(runs(count), [], ChartDesign()).limit_t2 for count in (3, 5, 10, 60)]
+    believed = control_chart(runs(3), [], ChartDesign(basis="stated"))
     assert limits == sorted(limits, reverse=True)
     assert limits[-1] > believed.limit_t2 > 0.95 * limits[-1]
 
 
 def test_the_scale_of_stated_u_is_found_and_told():
-    chart = control_chart(runs(12, scatter=2.0), [], Design())
+    chart = control_chart(runs(12, scatter=2.0), [], ChartDesign())
     assert float(chart.centre.scale) ** 0.5 == pytest.approx(2.0, rel=0.2)
     assert any("times as much as stated u" in note and "as the scatter shows" in note for note in chart.notes)
 
 
 def test_a_run_of_the_baseline_that_stands_apart_is_named():
     baseline = [*runs(8), check_run(8.5, shifted(5, 15.0))]
-    chart = control_chart(baseline, [], Design())
+    chart = control_chart(baseline, [], ChartDesign())
     assert any(note.startswith("check-8.5 stands apart") for note in chart.notes)
 
 
 def test_a_known_drift_is_taken_off_with_its_u():
     later = [check_run(365.25, shifted(0, 20.0))]
-    assert not control_chart(runs(10), later, Design()).in_control
+    assert not control_chart(runs(10), later, ChartDesign()).in_control
     drift = KnownDrift(shifted(0, 20.0) * U, shifted(0, 1.0) * U)
-    chart = control_chart(runs(10), later, Design(), drift=drift)
+    chart = control_chart(runs(10), later, ChartDesign(), drift=drift)
     assert chart.in_control
     assert chart.shewhart.u[0, 0] > 1.2 * chart.shewhart.u[0, 1] * U[0] / U[1]
 
@@ -110,7 +110,7 @@ def test_a_reference_from_elsewhere_carries_what_lasts():
     lasting = np.diag((5.0 * U) ** 2)
     later = [check_run(1.0, shifted(2, 12.0), lasting=lasting)]
     reference = Reference("certificate", BEGUN, np.full(12, 2.0), NOTHING + COVARIANCE)
-    chart = control_chart([], later, Design(basis="stated"), reference=reference)
+    chart = control_chart([], later, ChartDesign(basis="stated"), reference=reference)
     assert chart.in_control
     assert chart.shewhart.u[0, 2] == pytest.approx(U[2] * np.sqrt(1.0 + 1.0 + 25.0))
     assert "certificate" in chart.notes[0]
@@ -119,7 +119,7 @@ def test_a_reference_from_elsewhere_carries_what_lasts():
 def test_other_meters_widen_the_limits_and_are_told():
     limits_of_meters = np.diag((10.0 * U) ** 2)
     later = [check_run(11.0, shifted(0, 15.0), meters=("new", "m2", "m3"), of_meters=limits_of_meters)]
-    chart = control_chart(runs(10), later, Design())
+    chart = control_chart(runs(10), later, ChartDesign())
     assert chart.in_control
     assert any("check-11" in note and "new baseline" in note for note in chart.notes)
 
@@ -160,4 +160,4 @@ def test_short_term_standard_deviations_are_pooled_by_their_freedom():
 
 def test_nothing_to_begin_with_is_refused():
     with pytest.raises(CalibrationError, match="measure the check block first"):
-        control_chart([], [], Design())
+        control_chart([], [], ChartDesign())

@@ -9,7 +9,7 @@ from statsmodels.regression.mixed_linear_model import MixedLM
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import CalibrationError
 from bench.history.learning import Beliefs, at, fitted, learn, maximise
-from bench.history.run_sums import Body, run_fit
+from bench.history.run_sums import RunSums, run_fit
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2, Installation
 from tests.support.learning_bench import KINDS, STATED, Bench, simulate
@@ -181,7 +181,7 @@ def drawn(seed, runs=6, repeats=4, columns=3, waves=2):
         grams.append(W.T @ W)
     random, mean = np.array([[0, 0, 1]] * runs)[:, :columns], np.array([[0, 1, 1]] * runs)[:, :columns]
     names = tuple(f"run {r}" for r in range(runs))
-    return parts, Body(names, np.array(grams), random, mean, waves, np.zeros(runs), np.ones(runs))
+    return parts, RunSums(names, np.array(grams), random, mean, waves, np.zeros(runs), np.ones(runs))
 
 
 def dense(parts, theta, precision):
@@ -253,7 +253,7 @@ def test_a_balanced_design_is_that_of_statsmodels():
     judge = MixedLM(told["y"], told[["one"]], groups=told["run"]).fit(reml=True)
     W = [np.column_stack([np.ones(repeats), own]) / np.sqrt(judge.scale) for own in y]
     zeros = np.zeros((runs, 1), dtype=np.int64)
-    body = Body(
+    body = RunSums(
         tuple("abcdefghijkl"), np.array([w.T @ w for w in W]), zeros, zeros, 0, np.zeros(runs), np.ones(runs)
     )
     shared = maximise(body, free([1e-12], 1))

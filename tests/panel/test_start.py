@@ -11,8 +11,8 @@ from bench.panel import launching as trying
 from bench.panel.access import Refusal, Role, Settings
 from bench.panel.launching import (
     MOST_KEPT,
-    Found,
-    Wanted,
+    TrialResult,
+    WantedRun,
     Wishes,
     WishFolder,
     arguments_of,
@@ -115,7 +115,7 @@ def test_what_check_finds_stands_on_the_page(runs, started):
     assert found.stage == "trying"
     wish.tell(found)
     assert "Being tried" in anna.get(f"/start/{wish.id}").text
-    wish.tell(Found("done", check=found.check, tried=0, said="verdict <b>"))
+    wish.tell(TrialResult("done", check=found.check, tried=0, said="verdict <b>"))
     page = anna.get(f"/start/{wish.id}").text
     assert "22 readings" not in page
     assert "verdict &lt;b&gt;" in page
@@ -139,7 +139,7 @@ def test_what_failed_in_the_dry_run_is_not_started(runs, started, tried):
     wish = begun(anna)
     check = {"problems": [], "dry_run_refuses": [], "hints": [], "procedure": "q", "bench": "b", "steps": 1,
              "operator_actions": 1, "expected_s": 1.0, "longest_s": 1.0}  # fmt: skip
-    wish.tell(Found("done", check=check, tried=tried))
+    wish.tell(TrialResult("done", check=check, tried=tried))
     assert "Start on the bench" not in anna.get(f"/start/{wish.id}").text
     assert anna.post(f"/start/{wish.id}/go").status_code == 409
 
@@ -152,7 +152,7 @@ def test_what_was_changed_since_it_was_checked_is_not_started(runs, started):
     wish = begun(anna)
     wish.tell(trying.checked(wish.wanted(), wish.path))
     found = wish.found()
-    wish.tell(Found("done", check=found.check, tried=0))
+    wish.tell(TrialResult("done", check=found.check, tried=0))
     quick.write_text(quick.read_text() + "\n# another\n")
     reply = anna.post(f"/start/{wish.id}/go")
     assert reply.status_code == 409
@@ -160,7 +160,7 @@ def test_what_was_changed_since_it_was_checked_is_not_started(runs, started):
 
 
 def test_a_wish_is_started_once(tmp_path):
-    wish = Wishes(tmp_path).new(Wanted({"procedure": "p", "bench": "b"}))
+    wish = Wishes(tmp_path).new(WantedRun({"procedure": "p", "bench": "b"}))
     wish.mark_started("one")
     with pytest.raises(Refusal, match="started already, as one"):
         wish.mark_started("two")
@@ -168,7 +168,7 @@ def test_a_wish_is_started_once(tmp_path):
 
 def test_old_wishes_are_forgotten(tmp_path):
     wishes = Wishes(tmp_path)
-    made = [wishes.new(Wanted({"procedure": "p", "bench": "b"})).id for _ in range(MOST_KEPT + 5)]
+    made = [wishes.new(WantedRun({"procedure": "p", "bench": "b"})).id for _ in range(MOST_KEPT + 5)]
     kept = {folder.name for folder in tmp_path.iterdir()}
     assert len(kept) == MOST_KEPT
     assert made[-1] in kept
@@ -179,18 +179,18 @@ def test_old_wishes_are_forgotten(tmp_path):
 def test_no_more_than_two_are_tried_at_once(tmp_path):
     wishes = Wishes(tmp_path)
     one, two = (
-        wishes.new(Wanted({"procedure": "p", "bench": "b"})),
-        wishes.new(Wanted({"procedure": "p", "bench": "b"})),
+        wishes.new(WantedRun({"procedure": "p", "bench": "b"})),
+        wishes.new(WantedRun({"procedure": "p", "bench": "b"})),
     )
     with one.lock(), two.lock(), pytest.raises(Refusal, match="two runs are being tried already"):
-        wishes.new(Wanted({"procedure": "p", "bench": "b"}))
-    wishes.new(Wanted({"procedure": "p", "bench": "b"}))
+        wishes.new(WantedRun({"procedure": "p", "bench": "b"}))
+    wishes.new(WantedRun({"procedure": "p", "bench": "b"}))
 
 
 @pytest.mark.slow
 def test_a_wish_is_checked_and_tried_by_a_process_of_its_own(runs):
     wish = Wishes(runs.parent / "wishes").new(
-        Wanted(
+        WantedRun(
             {
                 "procedure": str(choices("procedures")["quick"]),
                 "bench": str(choices("config")["paper-stand"]),

@@ -14,7 +14,7 @@ from bench.planning.choice import (
     REACHED,
     TIME,
     USED_UP,
-    Scale,
+    NoiseScale,
     Standing,
     scale_of,
     telling_apart,
@@ -47,7 +47,7 @@ def after(standing, choice, reached=(), scale=1.0):
         visit=choice.visit,
         taken=standing.taken | {p.steps[0] for p in choice.points},
         done=done,
-        scale=Scale(scale**2 * dof, dof),
+        scale=NoiseScale(scale**2 * dof, dof),
         reached=reached,
     )
 

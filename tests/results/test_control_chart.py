@@ -8,7 +8,7 @@ import pytest
 
 from bench.history.control_chart import CheckRun, control_chart
 from bench.results.control_chart import CheckBlockChart, render_chart
-from bench.stats.control_charts import Design
+from bench.stats.control_charts import ChartDesign
 
 NOTHING = np.zeros((12, 12))
 U = 1e-4
@@ -36,7 +36,7 @@ def check_run(day: int, shift: float = 0.0) -> CheckRun:
 
 
 def page(later: list[CheckRun]) -> str:
-    chart = control_chart([check_run(day) for day in range(8)], later, Design())
+    chart = control_chart([check_run(day) for day in range(8)], later, ChartDesign())
     return render_chart(CheckBlockChart(chart, "a block <1>", "V", 9.81, True, ("a note",)))
 
 

@@ -12,7 +12,7 @@ from bench.run.person import (
     ControlFile,
     LeftAnswer,
     RunControl,
-    Who,
+    WishAuthor,
     asked_to_json,
     leave_answer,
     leave_wish,
@@ -25,7 +25,7 @@ from drivers.angles import parse_angle
 from drivers.instruments.manual import ManualHead
 from drivers.person import Prompt, PromptKind
 
-ANN = Who("Ann", "operator", "panel")
+ANN = WishAuthor("Ann", "operator", "panel")
 ARCSEC = math.pi / 648000.0
 
 
@@ -42,7 +42,7 @@ def test_answers_come_in_their_order_with_who_and_a_half_written_one_waits(tmp_p
     assert answers.poll() is None
     with (tmp_path / ANSWERS).open("a") as file:
         file.write('"answer": "yes"}\n')
-    assert answers.poll() == LeftAnswer("2", "yes", Who(), 2)
+    assert answers.poll() == LeftAnswer("2", "yes", WishAuthor(), 2)
 
 
 @pytest.mark.parametrize(

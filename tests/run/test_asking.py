@@ -18,7 +18,7 @@ from bench.run.person import (
     OperatorWish,
     RunControl,
     Stopped,
-    Who,
+    WishAuthor,
     ask,
     confirm,
     leave_answer,
@@ -34,8 +34,8 @@ from drivers.interfaces import LimitExceeded, NoAnswer
 from drivers.person import Prompt, PromptKind
 from sim.world.clock import VirtualClock
 
-ANN = Who("Ann", "operator", "panel")
-BOB = Who("bob", "supervisor", "terminal")
+ANN = WishAuthor("Ann", "operator", "panel")
+BOB = WishAuthor("bob", "supervisor", "terminal")
 MOUNT = Prompt("2/mount#1", PromptKind.CONFIRM, "Mount the block")
 PAUSED = Prompt("pause@1", PromptKind.CONFIRM, "Paused", default="yes", action={"do": "wait"})
 

@@ -14,7 +14,7 @@ from bench.run.person import (
     LeftAnswer,
     OpenPrompt,
     RunControl,
-    Who,
+    WishAuthor,
     leave_answer,
     leave_wish,
     open_prompt,
@@ -23,7 +23,7 @@ from bench.run.record import Record, read_history, resume_point
 from bench.run.runner import RunAborted
 from tests.support.runner_bench import NOON, READS, Bench, changed, make_runner, new_record, recorded
 
-ANN = Who("Ann", "operator", "panel")
+ANN = WishAuthor("Ann", "operator", "panel")
 
 
 class Panel:

@@ -15,11 +15,11 @@ import bench.services.instruments as command
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.run.assembly.served import SimulatedBench, dry_evening
-from bench.run.commission.session import Listening
+from bench.run.commission.session import CommissioningPerson
 from bench.run.events import Wish
 from bench.run.person import OperatorWish, RunControl
 from bench.services.errors import Refused
-from bench.services.instruments import PAGE, RESULT, WIRE_LOG, Setting, commission
+from bench.services.instruments import PAGE, RESULT, WIRE_LOG, CommissioningPlan, commission
 from drivers.person import Answer, Person, Prompt
 from tests.support.schemas import keeps_to
 
@@ -43,7 +43,7 @@ def well(path: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, di
 
 
 def carried_out(path: Path, folder: Path) -> dict:
-    return commission(Setting(load_bench(path), path, folder, None))
+    return commission(CommissioningPlan(load_bench(path), path, folder, None))
 
 
 @contextmanager
@@ -54,7 +54,7 @@ def asking(person: Callable[[Person], Person]) -> Iterator[list[SimulatedBench]]
     @contextmanager
     def evening(*arguments):
         with dry_evening(*arguments) as made:
-            made.person = Listening(person(made.person))
+            made.person = CommissioningPerson(person(made.person))
             seen.append(made)
             yield made
 

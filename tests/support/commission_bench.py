@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.config.shipped import find_bench
-from bench.run.commission.session import Evening, Listening, WireWatch
+from bench.run.commission.session import CommissioningPerson, CommissioningSession, WireWatch
 from bench.run.instruments import Instruments
 from drivers.interfaces import (
     BenchError,
@@ -143,10 +143,12 @@ def motorised() -> BenchFile:
 
 def evening(
     person: Says, clock: VirtualClock, instruments: Instruments, file: BenchFile | None = None
-) -> Evening:
+) -> CommissioningSession:
     """Return an evening; its durations are the virtual clock's."""
     watch = WireWatch(None, clock.now_s)
-    return Evening(file or motorised(), instruments, Listening(person), clock, clock.now_s, watch, {})
+    return CommissioningSession(
+        file or motorised(), instruments, CommissioningPerson(person), clock, clock.now_s, watch, {}
+    )
 
 
 def lost(name: str) -> BenchError:

@@ -35,7 +35,7 @@ from bench.calibration.budget.propagation import (
     validate,
 )
 from bench.calibration.budget.sources import ROLL_ORIGIN
-from bench.calibration.conformity import SIMPLE, DecisionRule, Known, Population
+from bench.calibration.conformity import SIMPLE, DecisionRule, MeasuredValues, Population
 from bench.calibration.design import coefficient_columns
 from bench.calibration.noise import KnownStand
 from bench.calibration.result import CalibrationError
@@ -50,7 +50,7 @@ MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredAcceleration:
     """Uncertainty of measured accelerations `force` (d, 3), g.
 
     `by_source` holds the covariance (d, 3, 3) from each source in g², `dof` the degrees of freedom of each.
@@ -89,7 +89,7 @@ class Measured:
 
 def measured(
     budget: Budget, force: Floats, *, reading: bool = True, same_voltmeters: bool = False
-) -> Measured:
+) -> MeasuredAcceleration:
     """Return the uncertainty of accelerations `force` (d, 3), g, each from one reading.
 
     Without `reading` the errors of the coefficients stand alone. With `same_voltmeters` the block is read with
@@ -110,7 +110,7 @@ def measured(
         parts = inverse @ np.concatenate([errors, apart], axis=2)
         by_source[contribution.source.name] = parts @ np.swapaxes(parts, 1, 2)
         dof[contribution.source.name] = contribution.source.dof
-    return Measured(force, by_source, dof)
+    return MeasuredAcceleration(force, by_source, dof)
 
 
 def _of_reading(
@@ -260,7 +260,7 @@ def delta_g(
     variances = delta_g_variances(budget, reading=reading)
     u, dof = np.sqrt(variances.sum(axis=1)), effective_dof(variances, [source.dof for source in sources])
     expanded = coverage_factor(dof, budget.probability) * u
-    limits = decision.acceptance_limit(limit_g, Known(u, expanded, dof, population)).tolist()
+    limits = decision.acceptance_limit(limit_g, MeasuredValues(u, expanded, dof, population)).tolist()
     return tuple(
         DeltaG(
             angle_deg=np.degrees(setup.conditions.angle_rad[row]),

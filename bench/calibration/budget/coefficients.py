@@ -17,7 +17,7 @@ from bench.calibration.budget.error_source import ErrorSource, tilt_patterns
 from bench.calibration.budget.propagation import COVERAGE, Propagated, effective_dof
 from bench.calibration.design import FIXED, STEP_RAD, Problem, make_problem
 from bench.calibration.estimators import GLS, in_a_budget
-from bench.calibration.gls import Task
+from bench.calibration.gls import WeightingTask
 from bench.calibration.noise import KnownStand
 from bench.calibration.observability import require_rank
 from bench.calibration.result import CalibrationError, Noise
@@ -213,7 +213,9 @@ def estimator_map(
     return whole
 
 
-def _task(problem: Problem, setup: Setup, stated: Mapping[str, float], known: KnownStand | None) -> Task:
+def _task(
+    problem: Problem, setup: Setup, stated: Mapping[str, float], known: KnownStand | None
+) -> WeightingTask:
     """Return the fit to noise-free readings: its first step has the map of the last step with real ones."""
     signal = setup.signal[setup.fitted]
     floor = gls.LEAST_NOISE * float(np.max(np.abs(signal)))
@@ -222,7 +224,7 @@ def _task(problem: Problem, setup: Setup, stated: Mapping[str, float], known: Kn
     if known is not None and known.noise is not None:
         noise = known.noise.given()
     fit = partial(gls.fit, problem, signal, setup.block, noise)
-    return Task(problem, signal, fit(), lambda shifts: fit(shifts=shifts))
+    return WeightingTask(problem, signal, fit(), lambda shifts: fit(shifts=shifts))
 
 
 @dataclass(frozen=True)

@@ -178,7 +178,7 @@ NAME = "foundation"
 
 
 @dataclass(frozen=True)
-class Foundation:
+class TiltRate:
     """How fast the platform tilts, along the shaft and across it: standard uncertainties, rad/s."""
 
     along_rad_s: float
@@ -227,18 +227,18 @@ def tilt_patterns(
     return (on_block @ block.K.T)[conditions.mount] * gone_s, across * gone_s
 
 
-def foundation_of(readings: Readings | None, bench: BenchFile, *, levelled: bool) -> Foundation | None:
+def foundation_of(readings: Readings | None, bench: BenchFile, *, levelled: bool) -> TiltRate | None:
     """Return how the foundation moves; None where nothing states it and the platform was not `levelled`.
 
     Levellings in these `readings` count before the bench file.
     """
     seen = None if readings is None else drift_rad_s(readings.extra)
     if seen is not None:
-        return Foundation(*seen, "the level, read again after the platform was levelled")
+        return TiltRate(*seen, "the level, read again after the platform was levelled")
     stated = bench.stand.foundation
     if stated is not None:
         rate = stated.to_distribution().u / DAY
-        return Foundation(rate, rate, "bench file", dof=stated.dof)
+        return TiltRate(rate, rate, "bench file", dof=stated.dof)
     if not levelled:
         return None
-    return Foundation(FOUNDATION.u, FOUNDATION.u, "not stated: ±2 arcsec a day, the paper's", prior=True)
+    return TiltRate(FOUNDATION.u, FOUNDATION.u, "not stated: ±2 arcsec a day, the paper's", prior=True)

@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.base.arrays import ARCSEC, Floats, Ints, Mask
 from bench.calibration.budget.coefficients import meters_of, parts_of
-from bench.calibration.budget.error_source import NAME, ErrorSource, Foundation, foundation_of
+from bench.calibration.budget.error_source import NAME, ErrorSource, TiltRate, foundation_of
 from bench.calibration.budget.meters import KnownMeters
 from bench.calibration.budget.propagation import effective_dof
 from bench.calibration.budget.sources import ROLL_ORIGIN, assumed_stand, hidden_sources
@@ -130,7 +130,7 @@ def dof_through(calibration: Calibration, jacobian: Floats, known: float | Float
     return effective_dof(np.stack(variances, axis=1), dof)
 
 
-def _foundation(readings: Readings, bench: BenchFile) -> Foundation | None:
+def _foundation(readings: Readings, bench: BenchFile) -> TiltRate | None:
     return foundation_of(readings, bench, levelled=readings.conditions().level_rad is not None)
 
 

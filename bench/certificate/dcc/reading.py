@@ -35,7 +35,7 @@ _VOLT_PER_MS2: Final[Dimension] = (("V", 1), ("m", -1), ("s", 2))
 
 
 @dataclass(frozen=True)
-class Read:
+class DocumentReading:
     """What a document says of a block: a result as `bench calibrate --json` has it, and what to know of it."""
 
     result: dict[str, Any]
@@ -100,7 +100,7 @@ def has_coefficients(root: Node) -> bool:
     return any(_order(tuple(text.split())) is not None for text in (*words, *members))
 
 
-def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None = None) -> Read:
+def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None = None) -> DocumentReading:
     """Return the twelve coefficients of a document with their covariance.
 
     `g_m_s2` is the local gravity at which coefficients of another's document are to be stated, `noise` the noise
@@ -118,7 +118,7 @@ def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None =
         raise Refused(f"{path}: {error}") from error
     own = [one for one in lists if {OURS, "bench_found"} <= one.roles and one.covariance is not None]
     if len(own) == 1:
-        return Read(_ours(path, root, own[0]), notes)
+        return DocumentReading(_ours(path, root, own[0]), notes)
     named = [(one, order) for one in lists if (order := _order(one.labels)) is not None]
     if not named:
         there = "; ".join(one.words for one in lists[:6]) or "none"
@@ -188,7 +188,7 @@ def _others(
     notes: tuple[str, ...],
     g_m_s2: float | None,
     noise_v: float | None,
-) -> Read:
+) -> DocumentReading:
     """Return the coefficients of another's list as a result: K in V/g; what is unknown is asked for."""
     wanting = [] if g_m_s2 is not None else ["--g, the local gravity for which K is to be stated (m/s²)"]
     wanting += [] if noise_v is not None else ["--noise, the noise of a reading (V), which a check needs"]
@@ -217,7 +217,7 @@ def _others(
     covariance = covariance[np.ix_(order, order)] * np.outer(scale, scale)
     result = _result(root, values, covariance, g_m_s2, noise_v)
     coefficients_of(result, str(path))
-    return Read({**result, "notes": list(notes)}, notes)
+    return DocumentReading({**result, "notes": list(notes)}, notes)
 
 
 def _result(

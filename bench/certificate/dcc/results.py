@@ -19,8 +19,8 @@ from bench.calibration.conformity import Statement
 from bench.certificate.content import (
     Certificate,
     Condition,
-    Found,
     Instrument,
+    RunFindings,
     Value,
     Values,
     rule_said,
@@ -66,7 +66,7 @@ def measurement_results(certificate: Certificate) -> Node:
     return node("dcc:measurementResults", *parts)
 
 
-def _measured(certificate: Certificate, found: Found, prefix: str) -> Node:
+def _measured(certificate: Certificate, found: RunFindings, prefix: str) -> Node:
     texts, before = certificate.texts, found is not certificate.found
     adjusted = certificate.unit is not None and certificate.unit.adjusted is not None
     status = ("beforeAdjustment" if before else "afterAdjustment") if adjusted else ""
@@ -89,7 +89,7 @@ def _measured(certificate: Certificate, found: Found, prefix: str) -> Node:
     )
 
 
-def _method(texts: Sequence[Texts], found: Found) -> Node:
+def _method(texts: Sequence[Texts], found: RunFindings) -> Node:
     method = found.method
     words = tuple(
         node(
@@ -160,7 +160,7 @@ def _condition(texts: Sequence[Texts], one: Condition, status: str) -> Node:
     )
 
 
-def _results(certificate: Certificate, found: Found, prefix: str) -> Iterator[Node]:
+def _results(certificate: Certificate, found: RunFindings, prefix: str) -> Iterator[Node]:
     texts = certificate.texts
     for key, values in (
         ("coefficients", found.coefficients),
@@ -187,7 +187,7 @@ def _result(texts: Sequence[Texts], name: str, ref: str, prefix: str, data: Node
     )
 
 
-def _per_ms2(found: Found) -> Values:
+def _per_ms2(found: RunFindings) -> Values:
     """Return the coefficients for a specific force in m/s², with the uncertainty of local g in their covariance."""
     own = found.result.calibration
     scale = np.concatenate([np.full(9, 1.0 / own.g_m_s2), np.ones(3)])
@@ -372,7 +372,7 @@ class Coefficient:
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownValues:
     """What a certificate says: `files` are those that it holds, `covariance` that of the coefficients, row by row.
 
     `conformity` is the word of the DCC ("pass"), empty where it makes no statement; `release` is that of the
@@ -412,7 +412,7 @@ class Shown:
         )
 
 
-def shown_of(content: bytes) -> Shown:
+def shown_of(content: bytes) -> ShownValues:
     """Return what content says. Raises `NotIntact` where it is no digital calibration certificate."""
     from lxml import etree
 
@@ -421,7 +421,7 @@ def shown_of(content: bytes) -> Shown:
         raise NoCertificate("it is no digital calibration certificate (DCC)")
     administrative = "dcc:administrativeData"
     covariance, coefficients = _coefficients(root)
-    return Shown(
+    return ShownValues(
         number=_text(root, f"{_CORE}/dcc:uniqueIdentifier"),
         laboratory=_text(
             root, f"{administrative}/dcc:calibrationLaboratory/dcc:contact/dcc:name/dcc:content"

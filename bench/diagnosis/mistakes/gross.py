@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bench.base.arrays import Floats
 from bench.diagnosis.mistakes.reinterpretation import (
-    Oriented,
+    OrientedRows,
     Reinterpretation,
     nothing,
     other_mountings,
@@ -28,7 +28,7 @@ LARGEST_G: Final = 0.1
 
 
 @dataclass(frozen=True)
-class Prior:
+class CoefficientPrior:
     """Means and standard deviations (4, 3) of (K_ix, K_iy, K_iz, U0_i), in g and g/g."""
 
     mean: Floats
@@ -36,7 +36,7 @@ class Prior:
 
 
 def log_evidence(
-    table: Oriented, columns: Floats, unit: float, prior: Prior, least_g: float, left_out: int
+    table: OrientedRows, columns: Floats, unit: float, prior: CoefficientPrior, least_g: float, left_out: int
 ) -> float:
     """Return ln of the probability of the readings: errors of `least_g` or more, coefficients of a prior.
 
@@ -73,7 +73,7 @@ def _of_channel(normal: Floats, log_det: Floats, mean: Floats, u: Floats, own: i
     return np.asarray(-0.5 * (log_det + size + left - taken))
 
 
-def _split(table: Oriented, columns: Floats) -> tuple[Floats, dict[int, tuple[int, Floats]]]:
+def _split(table: OrientedRows, columns: Floats) -> tuple[Floats, dict[int, tuple[int, Floats]]]:
     """Return X^T X of what differs among the repeats of a position, and that of the positions' means.
 
     The latter by the number of repeats, with how many positions have so many; to a degree the same position.
@@ -168,7 +168,7 @@ class GrossSearch:
         """What a reading may be off without a mistake, 1 sigma, g."""
         return max(GROSS_G, self.stand_rad)
 
-    def find(self, table: Oriented) -> tuple[GrossMistake | None, int]:
+    def find(self, table: OrientedRows) -> tuple[GrossMistake | None, int]:
         """Return the likeliest mistake, or None where there is none, and the number of looks that it took.
 
         Where only two mistakes together explain the readings, the first of them. Whatever it is, the odds for
@@ -206,7 +206,9 @@ class GrossSearch:
         p = max(looks * float(np.exp(-odds[best])), LEAST_P)
         return self._with_equals(table, supposed, cost, best, p), looks
 
-    def p_of_units(self, recorded: Oriented, right: Oriented, log_scaling: float, log_looks: float) -> float:
+    def p_of_units(
+        self, recorded: OrientedRows, right: OrientedRows, log_scaling: float, log_looks: float
+    ) -> float:
         """Return the p of a copy with signals in their right unit: one over the odds for each look, 1 at most.
 
         What is known of the block is known in the right unit. `log_scaling` is ln of the factor by which the copy
@@ -215,13 +217,13 @@ class GrossSearch:
         odds = self._log_evidence(right, right) + log_scaling - self._log_evidence(recorded, right)
         return max(math.exp(min(log_looks - odds, 0.0)), LEAST_P)
 
-    def first_guess(self, table: Oriented) -> tuple[Block, float]:
+    def first_guess(self, table: OrientedRows) -> tuple[Block, float]:
         """Return the block as the readings are recorded, and its distance from the data sheet, a chi-square."""
         scores = self.score(table, [nothing(table)])
         found = scores.coefficients[0]
         return Block(found[:3].T.copy(), found[3].copy()), float(scores.sheet[0])
 
-    def score(self, table: Oriented, supposed: Sequence[Reinterpretation]) -> SuppositionScores:
+    def score(self, table: OrientedRows, supposed: Sequence[Reinterpretation]) -> SuppositionScores:
         """Return the cost of each supposition; unit-free, in `gross_g`."""
         scale = self._scale(table)
         signal = np.stack([s.signal(table) for s in supposed]) / (self.gross_g * scale)
@@ -230,14 +232,14 @@ class GrossSearch:
         mean, precision = self._prior(scale)
         return _fit(columns, signal, weight.astype(np.float64), mean, precision, self.gross_g * scale)
 
-    def _scale(self, table: Oriented) -> Floats:
+    def _scale(self, table: OrientedRows) -> Floats:
         """Size of a channel's signals for 1 g, (3,)."""
         if self.nominal is not None:
             return np.abs(self.nominal)
         spread = np.ptp(np.percentile(table.signal, [5, 95], axis=0), axis=0) / 2
         return np.asarray(np.maximum(spread, max(1e-3 * float(spread.max()), 1e-300)))
 
-    def _columns(self, table: Oriented, supposed: Sequence[Reinterpretation]) -> Floats:
+    def _columns(self, table: OrientedRows, supposed: Sequence[Reinterpretation]) -> Floats:
         """Specific forces and a one for the bias, (H, n, 4)."""
         angle = np.stack([table.angle_rad if s.angle_rad is None else s.angle_rad for s in supposed])
         on_platform = specific_force_on_platform(angle.ravel(), np.zeros((angle.size, len(STAND_ANGLES))))
@@ -264,7 +266,7 @@ class GrossSearch:
         mean[:3] = np.diag(self.nominal) / (self.gross_g * scale)
         return mean, np.asarray((_sheet_u() / self.gross_g) ** -2)
 
-    def _log_evidence(self, table: Oriented, recorded: Oriented) -> float:
+    def _log_evidence(self, table: OrientedRows, recorded: OrientedRows) -> float:
         """Return ln of the probability of a table, put right or not, of what was recorded, whatever the errors."""
         unit = float(np.max(self._scale(recorded)))
         mean = np.zeros((4, 3))
@@ -274,11 +276,11 @@ class GrossSearch:
             mean[:3], u = np.diag(self.nominal) / unit, _sheet_u()
         columns = self._columns(table, [nothing(table)])[0]
         left_out = len(recorded) - len(table)
-        return log_evidence(table, columns, unit, Prior(mean, u), self.gross_g, left_out)
+        return log_evidence(table, columns, unit, CoefficientPrior(mean, u), self.gross_g, left_out)
 
     def _first_of_two(
-        self, table: Oriented, supposed: Sequence[Reinterpretation], cost: Floats
-    ) -> tuple[int, Oriented, int]:
+        self, table: OrientedRows, supposed: Sequence[Reinterpretation], cost: Floats
+    ) -> tuple[int, OrientedRows, int]:
         """Return the first of two mistakes that make the readings fit (0 for none), both put right, and the looks.
 
         One that by itself makes the misfit much larger is no first step.
@@ -299,7 +301,7 @@ class GrossSearch:
         return 0, table, looks
 
     def _with_equals(
-        self, table: Oriented, supposed: Sequence[Reinterpretation], cost: Floats, best: int, p: float
+        self, table: OrientedRows, supposed: Sequence[Reinterpretation], cost: Floats, best: int, p: float
     ) -> GrossMistake:
         """Name the plainest of the equally good ones; see whether another mounting would do as well."""
         mountings = other_mountings(table)
@@ -311,12 +313,12 @@ class GrossSearch:
         return GrossMistake(chosen, tuple(equal), p)
 
 
-def put_right(table: Oriented, supposition: Reinterpretation) -> Oriented:
+def put_right(table: OrientedRows, supposition: Reinterpretation) -> OrientedRows:
     """Return the oriented rows as they were if the supposition holds."""
     kept = np.ones(len(table), dtype=bool) if supposition.source is None else supposition.source >= 0
     label = table.label if supposition.label is None else supposition.label
     angle = table.angle_rad if supposition.angle_rad is None else supposition.angle_rad
-    return Oriented(
+    return OrientedRows(
         table.rows[kept],
         table.mounts,
         table.mount[kept],

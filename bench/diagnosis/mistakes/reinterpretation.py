@@ -24,7 +24,7 @@ LEAST_ROWS: Final = 4
 
 
 @dataclass(frozen=True)
-class Oriented:
+class OrientedRows:
     """The rows of a table that have an orientation: `rows` (n,) are their places in it."""
 
     rows: Ints
@@ -36,7 +36,7 @@ class Oriented:
     signal: Floats
 
     @classmethod
-    def of(cls, readings: Readings) -> Oriented:
+    def of(cls, readings: Readings) -> OrientedRows:
         """Take the oriented rows of a table."""
         chosen = readings.oriented()
         conditions = chosen.conditions()
@@ -96,12 +96,12 @@ class Reinterpretation:
     source: Ints | None = None
     turns: Mapping[str, Floats] = field(default_factory=dict)
 
-    def signal(self, table: Oriented) -> Floats:
+    def signal(self, table: OrientedRows) -> Floats:
         """Return the signals (n, 3) that belong to the rows; where there is none, those recorded."""
         moved = table.signal if self.source is None else table.signal[np.maximum(self.source, 0)]
         return np.where(self.scope.mask[:, None], moved @ self.wiring.matrix.T, moved)
 
-    def correct(self, readings: Readings, table: Oriented) -> Readings:
+    def correct(self, readings: Readings, table: OrientedRows) -> Readings:
         """Return a copy of the whole table (from which `table` was taken) put right.
 
         Wires and the head's sense in the whole run are those of verification points and free positions, too.
@@ -145,7 +145,7 @@ class Reinterpretation:
         return corrected.select(~np.isin(np.arange(len(readings)), table.rows[self.source < 0]))
 
 
-def suppositions(table: Oriented) -> list[Reinterpretation]:
+def suppositions(table: OrientedRows) -> list[Reinterpretation]:
     """Return every supposition about a table, the plainer ones first; the first supposes nothing."""
     scopes = _scopes(table)
     found = [nothing(table)]
@@ -154,12 +154,12 @@ def suppositions(table: Oriented) -> list[Reinterpretation]:
     return found + _swapped_installations(table)
 
 
-def nothing(table: Oriented) -> Reinterpretation:
+def nothing(table: OrientedRows) -> Reinterpretation:
     """Return the supposition that all is as recorded."""
     return Reinterpretation("", Scope(np.ones(len(table), dtype=bool)), "")
 
 
-def _scopes(table: Oriented) -> list[Scope]:
+def _scopes(table: OrientedRows) -> list[Scope]:
     everything = np.ones(len(table), dtype=bool)
     scopes = [Scope(everything)]
     for number, mount in enumerate(table.mounts):
@@ -172,7 +172,7 @@ def _scopes(table: Oriented) -> list[Scope]:
     return scopes
 
 
-def _swapped_channels(_: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
+def _swapped_channels(_: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
     for wiring in EXCHANGED:
         *first, last = wiring.channels
         channels = f"{', '.join(first)} and {last}" + (f" ({wiring.shown})" if len(first) > 1 else "")
@@ -180,20 +180,20 @@ def _swapped_channels(_: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
         yield Reinterpretation(MistakeName.SWAPPED_CHANNELS, scope, words, wiring)
 
 
-def _reversed_polarity(_: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
+def _reversed_polarity(_: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
     for wiring in REVERSED:
         (channel,) = wiring.channels
         words = f"channel {channel} has the wrong sign {scope}, as with its wires reversed; the copy has it turned"
         yield Reinterpretation(MistakeName.REVERSED_POLARITY, scope, words, wiring)
 
 
-def _reversed_rotation(table: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
+def _reversed_rotation(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
     angle = np.where(scope.mask, -table.angle_rad, table.angle_rad)
     words = f"the head counts the other way {scope}; the copy has its angles negated"
     yield Reinterpretation(MistakeName.REVERSED_ROTATION, scope, words, angle_rad=angle)
 
 
-def _other_label(table: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
+def _other_label(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
     """One mounting, or a pass of it, in another of the run's installations than stated."""
     if scope.whole:
         return
@@ -205,7 +205,7 @@ def _other_label(table: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
             yield Reinterpretation(MistakeName.SWAPPED_INSTALLATIONS, scope, words, label=label)
 
 
-def _swapped_installations(table: Oriented) -> list[Reinterpretation]:
+def _swapped_installations(table: OrientedRows) -> list[Reinterpretation]:
     """Two installations exchanged, in the whole run or in the passes of one number."""
     found = []
     passes = np.unique(table.pass_number).tolist()
@@ -223,7 +223,7 @@ def _swapped_installations(table: Oriented) -> list[Reinterpretation]:
     return found
 
 
-def _shifted(table: Oriented, scope: Scope) -> Iterator[Reinterpretation]:
+def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
     """Readings a row late or early, pass by pass or through a whole mounting; the head a stop behind or ahead."""
     by_pass = [table.mount * (table.pass_number.max() + 1) + table.pass_number]
     through = [] if scope.pass_number is not None else [table.mount]
@@ -259,7 +259,7 @@ def _rows_aside(runs: Ints, mask: Mask, step: int) -> Ints:
     return source
 
 
-def _stop_rad(table: Oriented, mask: Mask) -> Floats | None:
+def _stop_rad(table: OrientedRows, mask: Mask) -> Floats | None:
     """Return the signed angle (n,) from stop to stop of each row's pass, where all stops are equally wide."""
     stops = np.zeros(len(table))
     widths: list[float] = []
@@ -278,7 +278,7 @@ def _stop_rad(table: Oriented, mask: Mask) -> Floats | None:
     return stops
 
 
-def other_mountings(table: Oriented) -> list[Reinterpretation]:
+def other_mountings(table: OrientedRows) -> list[Reinterpretation]:
     """Return, for each installation, the 23 ways in which the block may sit otherwise."""
     found = []
     for label in table.labels:

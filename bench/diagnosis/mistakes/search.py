@@ -27,7 +27,7 @@ from bench.diagnosis.mistakes.describing import (
     weigh,
 )
 from bench.diagnosis.mistakes.gross import GrossMistake, GrossSearch
-from bench.diagnosis.mistakes.reinterpretation import Oriented
+from bench.diagnosis.mistakes.reinterpretation import OrientedRows
 from bench.diagnosis.mistakes.single_readings import SingleMistake, find_single
 from bench.model import STAND_ANGLES, Block, ForwardModel
 from bench.readings.corrected import MistakeName
@@ -104,7 +104,7 @@ def find_mistakes(
         copies.append(unit.corrected(readings))
         found.append(_unit_mistake(unit, _p_of_unit(stage.gross, unit, *copies)))
     for _ in range(MOST):
-        table = Oriented.of(copies[-1])
+        table = OrientedRows.of(copies[-1])
         gross, more = stage.gross.find(table)
         looks += more
         if gross is None:
@@ -126,7 +126,7 @@ def find_mistakes(
 class _FirstGuess:
     """The oriented rows of a table before the fit; `block` is a first guess that wrong readings do not spoil."""
 
-    table: Oriented
+    table: OrientedRows
     problem: Problem
     block: Block
     floor: float
@@ -152,7 +152,7 @@ class _Stage:
 
     def view(self, readings: Readings) -> _FirstGuess:
         """Look at a table; `sheet` is how far the coefficients lie from the data sheet, as a chi-square."""
-        table = Oriented.of(readings)
+        table = OrientedRows.of(readings)
         problem = make_problem(self.model, readings.oriented().conditions(), self.stand_u)
         block, sheet = self.gross.first_guess(table)
         floor = noise_floor(table.signal, readings.resolution, problem.free)
@@ -165,11 +165,11 @@ def _sheet(unit: str, nominal: Floats | None) -> Sequence[float] | None:
 
 def _p_of_unit(gross: GrossSearch, unit: WrongUnit, recorded: Readings, right: Readings) -> float:
     """Return the p of signals in another unit; a look is each prefix of each channel in each part of the table."""
-    table = Oriented.of(recorded)
+    table = OrientedRows.of(recorded)
     parts = 1 + len(np.unique(table.pass_number)) + len(np.unique(table.label))
     log_scaling = -PREFIX * np.log(10.0) * float(np.sum(unit.power[table.rows]))
     log_looks = 3 * parts * np.log(len(PREFIXES))
-    return gross.p_of_units(table, Oriented.of(right), log_scaling, log_looks)
+    return gross.p_of_units(table, OrientedRows.of(right), log_scaling, log_looks)
 
 
 def _unit_mistake(unit: WrongUnit, p: float) -> Mistake:

@@ -48,7 +48,7 @@ class ExpressionError(ValueError):
 Term = TypeVar("Term")
 
 
-class Reading(Protocol, Generic[Term]):
+class ExpressionReading(Protocol, Generic[Term]):
     """One way to read an expression: for its values, for its degree in the parameters, for its dimension."""
 
     def number(self, value: float) -> Term:
@@ -147,12 +147,12 @@ def lags_in(text: str) -> tuple[ast.expr, ...]:
     return tuple(n.args[1] for n in nodes if isinstance(n.func, ast.Name) and n.func.id == LAGGED)
 
 
-def interpret(text: str, reading: Reading[Term]) -> Term:
+def interpret(text: str, reading: ExpressionReading[Term]) -> Term:
     """Read an expression in one of the ways; the reading raises `ExpressionError` as it likes."""
     return _read(parse(text), reading)
 
 
-def _read(node: ast.expr, reading: Reading[Term]) -> Term:
+def _read(node: ast.expr, reading: ExpressionReading[Term]) -> Term:
     match node:
         case ast.Constant(value=int() | float() as value):
             return reading.number(_as_float(value))

@@ -13,7 +13,7 @@ from bench.panel.access import Refusal
 from bench.panel.shared import looking, page, panel_of
 
 if TYPE_CHECKING:
-    from bench.catalogue.questions import Answer
+    from bench.catalogue.questions import AnswerTable
     from bench.results.catalogue import UnitResult
 
 LONGEST: Final = 300
@@ -66,7 +66,7 @@ def _where(request: Request) -> str:
     return where
 
 
-def _units(where: str, asked: str) -> Answer:
+def _units(where: str, asked: str) -> AnswerTable:
     from bench.catalogue.questions import answer
     from bench.catalogue.store import open_catalogue
 

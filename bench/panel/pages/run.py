@@ -24,7 +24,7 @@ from bench.run.person import (
     AskedPrompt,
     LeftAnswer,
     RunControl,
-    Who,
+    WishAuthor,
     leave_answer,
     leave_wish,
     parse_wish,
@@ -195,8 +195,8 @@ def _hold(run: Run, person: Person) -> None:
     require_holder(run.folder, person)
 
 
-def _who(person: Person) -> Who:
-    return Who(person.name, person.role.value, "panel")
+def _who(person: Person) -> WishAuthor:
+    return WishAuthor(person.name, person.role.value, "panel")
 
 
 async def _doing(work: Callable[..., Told], *given: object) -> Told:

@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from bench.panel.access import Refusal
-from bench.panel.folder import UNREAD, Row
+from bench.panel.folder import UNREAD, RunRow
 from bench.panel.shared import APART, looking, page, panel_of
 from bench.services.requests.history import Chart
 
@@ -48,7 +48,7 @@ def runs(request: Request) -> Response:
     )
 
 
-def _choices(rows: list[Row], asked: dict[str, str]) -> dict[str, list[str]]:
+def _choices(rows: list[RunRow], asked: dict[str, str]) -> dict[str, list[str]]:
     """Return the words that each column has, to choose from."""
     offered = {}
     for column in FILTERS:

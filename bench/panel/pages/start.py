@@ -19,8 +19,8 @@ from bench.panel.holding import change, read_holding
 from bench.panel.launching import (
     OF_RUN,
     WISH,
-    Found,
-    Wanted,
+    TrialResult,
+    WantedRun,
     WishFolder,
     choices,
     chosen_bench,
@@ -104,7 +104,7 @@ def _wished(panel: Panel, person: Person, sent: dict[str, str]) -> WishFolder:
             given[one.name] = sent.get(one.name, "") == "yes"
         elif one.kind == "text" and (text := _text(sent, one.name)):
             given[one.name] = text
-    wanted = Wanted(given).hashed()
+    wanted = WantedRun(given).hashed()
     name_of(wanted, panel.runs)
     wish = panel.wishes.new(wanted)
     start([str(wish.path.absolute())], wish.path / "trying.log", program=("-m", "bench.panel.launching"))
@@ -167,7 +167,7 @@ def _unit_of(manifest: Any) -> str:
     return str(unit.get("serial", "")) if isinstance(unit, dict) else ""
 
 
-def _times(told: Found) -> dict[str, str]:
+def _times(told: TrialResult) -> dict[str, str]:
     if told.check is None:
         return {}
     expected, longest = float(told.check["expected_s"]), float(told.check["longest_s"])

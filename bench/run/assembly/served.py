@@ -27,7 +27,7 @@ from bench.run.assembly.instruments import (
     simulated_instruments,
     world_of,
 )
-from bench.run.commission.session import Evening, Listening, WireWatch
+from bench.run.commission.session import CommissioningPerson, CommissioningSession, WireWatch
 from bench.run.events import Event, EventType
 from bench.run.instruments import Instruments
 from bench.run.person import NO, problem_with_answer
@@ -293,9 +293,11 @@ class ScriptedHand:
             raise BenchError("simulation", str(reply.get("error")), "start again")
 
 
-def real_evening(file: BenchFile, person: Person, log: Wire | None, haste: Haste | None = None) -> Evening:
+def real_evening(
+    file: BenchFile, person: Person, log: Wire | None, haste: Haste | None = None
+) -> CommissioningSession:
     """Return an evening on the bench of a bench file; nothing is opened yet. `haste` cuts waiting short."""
-    watch, heard = WireWatch(log), Listening(person)
+    watch, heard = WireWatch(log), CommissioningPerson(person)
     assembly = real_bench(file, heard, watch, haste)
     watch.time_s = assembly.clock.now_s
     return _evening(file, assembly, heard, watch)
@@ -304,7 +306,7 @@ def real_evening(file: BenchFile, person: Person, log: Wire | None, haste: Haste
 @contextmanager
 def dry_evening(
     file: BenchFile, model: ForwardModel, seed: int, log: Wire | None, haste: Haste | None = None
-) -> Iterator[Evening]:
+) -> Iterator[CommissioningSession]:
     """Yield an evening on the simulated bench of a bench file, with its scripted person.
 
     Time is that of its clock, and what the wires take on the computer on top of that: a fault that makes an
@@ -319,11 +321,11 @@ def dry_evening(
         yield _evening(file, assembly, ScriptedHand(assembly.person, simulated), watch)
 
 
-def _evening(file: BenchFile, assembly: Assembly, person: Person, watch: WireWatch) -> Evening:
+def _evening(file: BenchFile, assembly: Assembly, person: Person, watch: WireWatch) -> CommissioningSession:
     connections = {
         name: (lambda session=session: session.connection) for name, session in assembly.sessions.items()
     }
-    return Evening(
+    return CommissioningSession(
         file,
         assembly.instruments,
         person,

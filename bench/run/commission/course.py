@@ -11,7 +11,7 @@ from bench.config.devices.device import WiredForm
 from bench.config.devices.sections import ThermometerForm
 from bench.run.commission import devices, meters
 from bench.run.commission.meters import quick
-from bench.run.commission.session import Evening, Figure, Finding, Skipped, State
+from bench.run.commission.session import CommissioningSession, Figure, Finding, Skipped, State
 from bench.run.instruments import same_serials
 from drivers.interfaces import BenchError, Instrument, PowerSupply, ThermalChamber, Voltmeter
 
@@ -42,7 +42,7 @@ class Cable:
     instruments: Sequence[Instrument]
 
 
-def cables(evening: Evening) -> Iterator[Cable]:
+def cables(evening: CommissioningSession) -> Iterator[Cable]:
     """Yield the cable of each instrument with a wire; all that are behind one GPIB adapter share its."""
     by_adapter: dict[str, list[Instrument]] = {}
     for instrument in evening.instruments.all():
@@ -59,7 +59,7 @@ def cables(evening: Evening) -> Iterator[Cable]:
         yield Cable(f"the computer's cable to the GPIB adapter {adapter} ({names})", instruments)
 
 
-def check_cables(evening: Evening) -> None:
+def check_cables(evening: CommissioningSession) -> None:
     """Have each cable pulled and plugged again, then look at all that hang on it as at any other time."""
     for cable in cables(evening):
         present = [one for one in cable.instruments if evening.present(one)]
@@ -69,7 +69,7 @@ def check_cables(evening: Evening) -> None:
             evening.carry_out(AGAIN, one, partial(_looked_at, evening, one))
 
 
-def _pulled(evening: Evening, cable: Cable, first: Instrument) -> Finding:
+def _pulled(evening: CommissioningSession, cable: Cable, first: Instrument) -> Finding:
     look = _look(evening, first)
     look()
     name = first.name
@@ -102,12 +102,12 @@ def _pulled(evening: Evening, cable: Cable, first: Instrument) -> Finding:
     return Finding(CABLE, name, State.WORKS, f"its loss was told ({why}), then it answered again", figures)
 
 
-def _looked_at(evening: Evening, instrument: Instrument) -> Finding:
+def _looked_at(evening: CommissioningSession, instrument: Instrument) -> Finding:
     _look(evening, instrument)()
     return Finding(AGAIN, instrument.name, State.WORKS, "answers as before")
 
 
-def _look(evening: Evening, instrument: Instrument) -> Callable[[], object]:
+def _look(evening: CommissioningSession, instrument: Instrument) -> Callable[[], object]:
     """Return what asks an instrument something and changes nothing that a run relies on."""
     if isinstance(instrument, Voltmeter):
         return partial(instrument.configure, quick(evening, instrument))
@@ -120,7 +120,7 @@ def _look(evening: Evening, instrument: Instrument) -> Callable[[], object]:
     return instrument.open
 
 
-def _loss(evening: Evening, look: Callable[[], object]) -> tuple[float, str]:
+def _loss(evening: CommissioningSession, look: Callable[[], object]) -> tuple[float, str]:
     """Ask an instrument whose cable is out; return how long it took to tell, s, and what it told ("": nothing).
 
     Whatever it raises, the evening goes on: the cable is still out.
@@ -135,7 +135,9 @@ def _loss(evening: Evening, look: Callable[[], object]) -> tuple[float, str]:
     return evening.time_s() - begun_s, told
 
 
-def _back(evening: Evening, looks: Sequence[Callable[[], object]]) -> tuple[float, BenchError | None]:
+def _back(
+    evening: CommissioningSession, looks: Sequence[Callable[[], object]]
+) -> tuple[float, BenchError | None]:
     """Ask until all answer; return how long that took, s, and the last error where one does not."""
     begun_s = evening.time_s()
     while True:
@@ -159,17 +161,17 @@ class Part:
 
     title: str
     announced: str
-    carry_out: Callable[[Evening], None]
-    applies: Callable[[Evening], bool] = lambda evening: True
+    carry_out: Callable[[CommissioningSession], None]
+    applies: Callable[[CommissioningSession], bool] = lambda evening: True
 
 
-def _limits(evening: Evening) -> None:
+def _limits(evening: CommissioningSession) -> None:
     devices.check_limits(evening)
     devices.check_chamber_limits(evening)
     devices.check_supply_limits(evening)
 
 
-def _identities(evening: Evening) -> None:
+def _identities(evening: CommissioningSession) -> None:
     for instrument in evening.instruments.all():
         evening.carry_out(IDENTITY, instrument, partial(_who, evening, instrument))
     meters.check_settings(evening)
@@ -177,13 +179,13 @@ def _identities(evening: Evening) -> None:
         _tell_twins(evening)
 
 
-def _who(evening: Evening, instrument: Instrument) -> Finding:
+def _who(evening: CommissioningSession, instrument: Instrument) -> Finding:
     by_hand = evening.section(instrument.name).by_hand
     said = "is worked by hand" if by_hand else str(evening.identities[instrument.name])
     return Finding(IDENTITY, instrument.name, State.WORKS, said)
 
 
-def _tell_twins(evening: Evening) -> None:
+def _tell_twins(evening: CommissioningSession) -> None:
     """Say which voltmeters state one serial number."""
     for words in same_serials(evening.identities):
         remedy = "compare the serial numbers with those on the instruments, and correct the addresses"
@@ -244,7 +246,7 @@ PARTS: Final = (
 )
 
 
-def go_through(evening: Evening) -> None:
+def go_through(evening: CommissioningSession) -> None:
     """Go through all parts that apply. Raises `Ended` where the person ends it, `KeyboardInterrupt`."""
     parts = [part for part in PARTS if part.applies(evening)]
     for number, part in enumerate(parts, start=1):

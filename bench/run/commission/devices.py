@@ -11,7 +11,7 @@ from typing import Final, Protocol, runtime_checkable
 from bench.base.arrays import ARCSEC
 from bench.base.text import APPROACH, degrees
 from bench.config.devices.sections import ChamberForm, MotorisedHeadForm, SupplyForm
-from bench.run.commission.session import Evening, Figure, Finding, NoteWith, State
+from bench.run.commission.session import CheckEnded, CommissioningSession, Figure, Finding, State
 from drivers.angles import format_dms
 from drivers.interfaces import (
     BenchError,
@@ -70,7 +70,7 @@ class Motor(Protocol):
 # --- limits -----------------------------------------------------------------------------------------
 
 
-def check_limits(evening: Evening) -> None:
+def check_limits(evening: CommissioningSession) -> None:
     """Demand what lies beyond the head's limits while no wire is open: it must be refused, and cannot be sent."""
     head, form = evening.instruments.head, evening.section(evening.instruments.head.name)
     if isinstance(form, MotorisedHeadForm):
@@ -99,7 +99,7 @@ def _refused_beyond(head: DividingHead, form: MotorisedHeadForm) -> Finding:
 def refuse_or_say(name: str, what: str, demand: Callable[[], object]) -> None:
     """Make a demand that must be refused; no wire is open, so that nothing can come of it.
 
-    Raises `NoteWith` where it is not refused for the limits.
+    Raises `CheckEnded` where it is not refused for the limits.
     """
     try:
         demand()
@@ -110,13 +110,13 @@ def refuse_or_say(name: str, what: str, demand: Callable[[], object]) -> None:
     else:
         said = f"{what} was not refused"
     remedy = "do not use it: its driver does not keep the limits of the bench file"
-    raise NoteWith(Finding(LIMITS, name, State.OTHER, said, remedy=remedy))
+    raise CheckEnded(Finding(LIMITS, name, State.OTHER, said, remedy=remedy))
 
 
 # --- moves ------------------------------------------------------------------------------------------
 
 
-def check_moves(evening: Evening) -> None:
+def check_moves(evening: CommissioningSession) -> None:
     """Turn the head a little both ways and stop it once on the way, each announced and confirmed."""
     head = evening.instruments.head
     form = evening.section(head.name)
@@ -126,7 +126,9 @@ def check_moves(evening: Evening) -> None:
         _by_hand(evening, head)
 
 
-def _with_motor(evening: Evening, head: DividingHead, motor: Motor, form: MotorisedHeadForm) -> None:
+def _with_motor(
+    evening: CommissioningSession, head: DividingHead, motor: Motor, form: MotorisedHeadForm
+) -> None:
     stands: list[float] = []
 
     def stand() -> Finding:
@@ -151,7 +153,7 @@ def _with_motor(evening: Evening, head: DividingHead, motor: Motor, form: Motori
 def _within(form: MotorisedHeadForm, angle_rad: float) -> float:
     """Return where the head stands, at a limit where it is beyond it by no more than the tolerance.
 
-    Raises `NoteWith` for a head that stands outside, or has no room for a small move.
+    Raises `CheckEnded` for a head that stands outside, or has no room for a small move.
     """
     low_rad, high_rad = form.minimum, form.maximum
     room_rad = (WAY_IN_BACKOFFS + 1.0) * form.backoff
@@ -165,12 +167,12 @@ def _within(form: MotorisedHeadForm, angle_rad: float) -> float:
         said = f"stands at {degrees(angle_rad)}, with no room for a move of {degrees(room_rad)}"
         remedy = "turn it by hand to the middle of its limits, or widen these"
     if said:
-        raise NoteWith(Finding("position", form.name, State.OTHER, said, remedy=remedy))
+        raise CheckEnded(Finding("position", form.name, State.OTHER, said, remedy=remedy))
     return min(max(angle_rad, low_rad), high_rad)
 
 
 def _moved(
-    evening: Evening,
+    evening: CommissioningSession,
     head: DividingHead,
     form: MotorisedHeadForm,
     from_rad: float | None,
@@ -210,7 +212,7 @@ def _position_rad(head: DividingHead) -> float:
 
 
 def _stopped(
-    evening: Evening, motor: Motor, form: MotorisedHeadForm, here_rad: float, side: Direction
+    evening: CommissioningSession, motor: Motor, form: MotorisedHeadForm, here_rad: float, side: Direction
 ) -> Finding:
     """Send the head off and stop it half way; wherever this ends, it was told to stop."""
     room_rad = (form.maximum - here_rad) if side > 0 else (here_rad - form.minimum)
@@ -250,8 +252,8 @@ def _stopped(
     return Finding(STOP, form.name, State.OTHER, said, figures, remedy)
 
 
-def _at_rest(evening: Evening, motor: Motor, form: MotorisedHeadForm) -> float:
-    """Wait until two looks show the same angle; return it. Raises `NoteWith` for a head that goes on turning."""
+def _at_rest(evening: CommissioningSession, motor: Motor, form: MotorisedHeadForm) -> float:
+    """Wait until two looks show the same angle; return it. Raises `CheckEnded` for a head that goes on turning."""
     before_rad = motor.position_rad()
     for _ in range(_MOST_LOOKS):
         evening.clock.sleep(_LOOK_S)
@@ -264,12 +266,12 @@ def _at_rest(evening: Evening, motor: Motor, form: MotorisedHeadForm) -> float:
     with contextlib.suppress(Exception):
         motor.stop()
     said = f"still turns after it was told to stop, at {degrees(before_rad)}"
-    raise NoteWith(
+    raise CheckEnded(
         Finding(STOP, form.name, State.OTHER, said, remedy="use the emergency stop; have the head seen to")
     )
 
 
-def _by_hand(evening: Evening, head: DividingHead) -> None:
+def _by_hand(evening: CommissioningSession, head: DividingHead) -> None:
     """Have a person turn the head a little both ways and type what its scale shows."""
     ways: tuple[tuple[float, Direction], ...] = ((2.0 * MANUAL_WAY_RAD, 1), (MANUAL_WAY_RAD, -1))
     for number, (target_rad, direction) in enumerate(ways, start=1):
@@ -289,7 +291,7 @@ BEYOND_K: Final = 1.0
 """By so much the demands that must be refused lie beyond the limits."""
 
 
-def check_chamber_limits(evening: Evening) -> None:
+def check_chamber_limits(evening: CommissioningSession) -> None:
     """Demand what lies beyond the chamber's limits while no wire is open."""
     chamber = evening.instruments.chamber
     if chamber is None:
@@ -308,7 +310,7 @@ def _temperature_refused_beyond(chamber: ThermalChamber, form: ChamberForm) -> F
     return Finding(LIMITS, chamber.name, State.WORKS, said)
 
 
-def check_standby(evening: Evening) -> None:
+def check_standby(evening: CommissioningSession) -> None:
     """Read the chamber and put it into standby."""
     chamber = evening.instruments.chamber
     if chamber is None:
@@ -324,7 +326,7 @@ def _read_temperature(chamber: ThermalChamber, by_hand: bool) -> Finding:
     return Finding(READ, chamber.name, State.WORKS, said, (Figure("temperature", air_c, "°C"),))
 
 
-def _standby(evening: Evening, chamber: ThermalChamber, by_hand: bool) -> Finding:
+def _standby(evening: CommissioningSession, chamber: ThermalChamber, by_hand: bool) -> Finding:
     if by_hand:
         evening.confirm(
             "Switch the chamber to standby. Does it stand by?", action={"do": "answer"}, default="yes"
@@ -341,7 +343,7 @@ REVERSED: Final = "half a turn"
 BLOCK: Final = "temperature of the block"
 
 
-def check_level(evening: Evening) -> None:
+def check_level(evening: CommissioningSession) -> None:
     """Read the level in two positions half a turn apart: its zero, and how the platform stands."""
     level = evening.instruments.level
     if level is not None:
@@ -349,7 +351,7 @@ def check_level(evening: Evening) -> None:
         evening.carry_out(REVERSED, level, partial(_reversed, evening, level), also=[head])
 
 
-def _reversed(evening: Evening, level: Level) -> Finding:
+def _reversed(evening: CommissioningSession, level: Level) -> Finding:
     if not evening.section(evening.instruments.head.name).by_hand:
         evening.confirm("The head will turn to 0°. Is the way clear?", action={"do": "stand_clear"})
     evening.instruments.head.move(0.0, 1, "commission/level")
@@ -366,7 +368,7 @@ def _reversed(evening: Evening, level: Level) -> Finding:
     return Finding(REVERSED, level.name, State.WORKS, said, tuple(figures))
 
 
-def _read_platform(evening: Evening, level: Level, *, turned: bool) -> Inclination:
+def _read_platform(evening: CommissioningSession, level: Level, *, turned: bool) -> Inclination:
     if not level.asks_person:
         how = "half a turn from its first position" if turned else "in its first position, along the shaft"
         evening.confirm(
@@ -377,7 +379,7 @@ def _read_platform(evening: Evening, level: Level, *, turned: bool) -> Inclinati
     return level.inclination(f"commission/level{int(turned)}", turned=turned)
 
 
-def check_thermometer(evening: Evening) -> None:
+def check_thermometer(evening: CommissioningSession) -> None:
     """Read the thermometer at the block."""
     thermometer = evening.instruments.thermometer
     if thermometer is not None:
@@ -395,7 +397,7 @@ BEYOND_V: Final = 1.0
 """By so much the settings that must be refused lie beyond the limits."""
 
 
-def check_supply_limits(evening: Evening) -> None:
+def check_supply_limits(evening: CommissioningSession) -> None:
     """Demand what lies beyond the limits of each output while no wire is open."""
     supply = evening.instruments.power_supply
     if supply is None:
@@ -418,7 +420,7 @@ def _voltage_refused_beyond(supply: PowerSupply, limits: SupplyLimits) -> Findin
     return Finding(LIMITS, supply.name, State.WORKS, said)
 
 
-def check_outputs(evening: Evening) -> None:
+def check_outputs(evening: CommissioningSession) -> None:
     """Read how every output is."""
     supply = evening.instruments.power_supply
     if supply is not None:

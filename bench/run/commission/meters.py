@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.base.numbers import scale_for
 from bench.config.devices.sections import VoltmeterForm
-from bench.run.commission.session import Evening, Figure, Finding, State
+from bench.run.commission.session import CommissioningSession, Figure, Finding, State
 from bench.run.workbench import QUICK_NPLC
 from drivers.interfaces import Channel, Voltmeter, VoltmeterSettings
 
@@ -44,7 +44,7 @@ class _Timed(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class TimingSpread:
     """How far within one set the starts of the meters lie apart, and the arrivals of their readings, s."""
 
     starts_s: float
@@ -54,17 +54,19 @@ class Spread:
 # --- settings ---------------------------------------------------------------------------------------
 
 
-def quick(evening: Evening, meter: Voltmeter) -> VoltmeterSettings:
+def quick(evening: CommissioningSession, meter: Voltmeter) -> VoltmeterSettings:
     """Return short settings for a look at a meter."""
     return _settings(evening, meter, QUICK_NPLC, evening.file.least_samples)
 
 
-def slow(evening: Evening, meter: Voltmeter, samples: int) -> VoltmeterSettings:
+def slow(evening: CommissioningSession, meter: Voltmeter, samples: int) -> VoltmeterSettings:
     """Return the settings of a careful reading."""
     return _settings(evening, meter, SLOW_NPLC, samples)
 
 
-def _settings(evening: Evening, meter: Voltmeter, nplc: float, samples: int) -> VoltmeterSettings:
+def _settings(
+    evening: CommissioningSession, meter: Voltmeter, nplc: float, samples: int
+) -> VoltmeterSettings:
     """Return settings that all meters can have, or at least this one."""
     has = evening.file.nplc_supported or _form(evening, meter).kind.limits.nplc
     near = [one for one in has if one <= nplc] or [min(has)]
@@ -72,13 +74,13 @@ def _settings(evening: Evening, meter: Voltmeter, nplc: float, samples: int) -> 
     return VoltmeterSettings(evening.file.voltmeter_range_v, max(near), min(max(samples, few), many))
 
 
-def check_settings(evening: Evening) -> None:
+def check_settings(evening: CommissioningSession) -> None:
     """Set every meter up in two ways; the driver reads back each time what it has set."""
     for meter in evening.instruments.voltmeters:
         evening.carry_out(SETTINGS, meter, partial(_set_twice, evening, meter))
 
 
-def _set_twice(evening: Evening, meter: Voltmeter) -> Finding:
+def _set_twice(evening: CommissioningSession, meter: Voltmeter) -> Finding:
     ways = (slow(evening, meter, TIMED_SAMPLES), quick(evening, meter))
     begun_s = evening.time_s()
     for way in ways:
@@ -91,13 +93,13 @@ def _set_twice(evening: Evening, meter: Voltmeter) -> Finding:
 # --- time -------------------------------------------------------------------------------------------
 
 
-def check_time(evening: Evening) -> None:
+def check_time(evening: CommissioningSession) -> None:
     """Take a reading of each meter alone, and hold its time against what the driver expects."""
     for meter in evening.instruments.voltmeters:
         evening.carry_out(TIME, meter, partial(_timed, evening, meter), by_answers=False)
 
 
-def _timed(evening: Evening, meter: Voltmeter) -> Finding:
+def _timed(evening: CommissioningSession, meter: Voltmeter) -> Finding:
     settings = slow(evening, meter, TIMED_SAMPLES)
     meter.configure(settings)
     samples, took_s = _reading(evening, meter)
@@ -106,7 +108,9 @@ def _timed(evening: Evening, meter: Voltmeter) -> Finding:
     return _judged_by_time(evening, meter, settings, Finding(TIME, meter.name, State.WORKS, said), took_s)
 
 
-def _reading(evening: Evening, meter: Voltmeter) -> tuple[Mapping[Channel, tuple[float, ...]], float]:
+def _reading(
+    evening: CommissioningSession, meter: Voltmeter
+) -> tuple[Mapping[Channel, tuple[float, ...]], float]:
     begun_s = evening.time_s()
     meter.start()
     samples = meter.fetch()
@@ -114,7 +118,11 @@ def _reading(evening: Evening, meter: Voltmeter) -> tuple[Mapping[Channel, tuple
 
 
 def _judged_by_time(
-    evening: Evening, meter: Voltmeter, settings: VoltmeterSettings, found: Finding, took_s: float
+    evening: CommissioningSession,
+    meter: Voltmeter,
+    settings: VoltmeterSettings,
+    found: Finding,
+    took_s: float,
 ) -> Finding:
     """Return a finding with how long the reading took; one that took longer than expected is slower."""
     expected_s = expected_time_s(evening, meter, settings)
@@ -130,7 +138,9 @@ def _judged_by_time(
     return Finding(found.check, found.instrument, State.SLOWER, said, figures, remedy)
 
 
-def expected_time_s(evening: Evening, meter: Voltmeter, settings: VoltmeterSettings) -> float | None:
+def expected_time_s(
+    evening: CommissioningSession, meter: Voltmeter, settings: VoltmeterSettings
+) -> float | None:
     """Return how long the driver expects a reading to take, s; None where it does not say."""
     if not isinstance(meter, _Timed):
         return None
@@ -150,7 +160,7 @@ def _character_s(serial: Mapping[str, object] | None) -> float:
 # --- together ---------------------------------------------------------------------------------------
 
 
-def check_together(evening: Evening) -> None:
+def check_together(evening: CommissioningSession) -> None:
     """Start all meters as a run does, and see how far apart they begin and end."""
     meters = [meter for meter in evening.instruments.voltmeters if evening.present(meter)]
     if not meters:
@@ -161,7 +171,7 @@ def check_together(evening: Evening) -> None:
     )
 
 
-def _started_together(evening: Evening, meters: Sequence[Voltmeter]) -> Finding:
+def _started_together(evening: CommissioningSession, meters: Sequence[Voltmeter]) -> Finding:
     settings = slow(evening, meters[0], TIMED_SAMPLES)
     for meter in meters:
         meter.configure(settings)
@@ -191,7 +201,7 @@ def _started_together(evening: Evening, meters: Sequence[Voltmeter]) -> Finding:
     return Finding(TOGETHER, meters[0].name, State.WORKS, f"{names} sample the same moment", figures)
 
 
-def _one_set(evening: Evening, meters: Sequence[Voltmeter]) -> Spread:
+def _one_set(evening: CommissioningSession, meters: Sequence[Voltmeter]) -> TimingSpread:
     starts, ends = [], []
     for meter in meters:
         meter.start()
@@ -199,13 +209,13 @@ def _one_set(evening: Evening, meters: Sequence[Voltmeter]) -> Spread:
     for meter in meters:
         meter.fetch()
         ends.append(evening.time_s())
-    return Spread(max(starts) - min(starts), max(ends) - min(ends))
+    return TimingSpread(max(starts) - min(starts), max(ends) - min(ends))
 
 
 # --- noise ------------------------------------------------------------------------------------------
 
 
-def check_noise(evening: Evening) -> None:
+def check_noise(evening: CommissioningSession) -> None:
     """Have the inputs shorted; hold mean and scatter of each channel against the data sheet's limits."""
     evening.confirm(
         "Take the signals off the voltmeters and short their inputs, HI to LO, with copper and no longer than "
@@ -220,7 +230,7 @@ def check_noise(evening: Evening) -> None:
     )
 
 
-def _noise(evening: Evening, meter: Voltmeter) -> Finding:
+def _noise(evening: CommissioningSession, meter: Voltmeter) -> Finding:
     settings = slow(evening, meter, NOISE_SAMPLES)
     meter.configure(settings)
     samples, took_s = _reading(evening, meter)
@@ -278,13 +288,13 @@ def largest_scatter_v(sigma_v: float, n: int) -> float:
     return sigma_v * math.sqrt(float(chi2.isf(SIGNIFICANCE, n - 1)) / (n - 1)) if n > 1 else sigma_v
 
 
-def zero_limit_v(evening: Evening, meter: Voltmeter) -> float:
+def zero_limit_v(evening: CommissioningSession, meter: Voltmeter) -> float:
     """Return the maker's limit of error of a shorted input within 90 days, V."""
     range_v = evening.file.voltmeter_range_v
     return range_v * _form(evening, meter).kind.accuracy[range_v][1]
 
 
-def scatter_limit_v(evening: Evening, meter: Voltmeter, nplc: float) -> float:
+def scatter_limit_v(evening: CommissioningSession, meter: Voltmeter, nplc: float) -> float:
     """Return the standard deviation that a sample of a steady input may have, V: the maker's resolution.
 
     Where the facts do not state it, the limit of error at zero.
@@ -294,7 +304,7 @@ def scatter_limit_v(evening: Evening, meter: Voltmeter, nplc: float) -> float:
     return evening.file.voltmeter_range_v * min(within) if within else zero_limit_v(evening, meter)
 
 
-def _form(evening: Evening, meter: Voltmeter) -> VoltmeterForm:
+def _form(evening: CommissioningSession, meter: Voltmeter) -> VoltmeterForm:
     return next(section for section in evening.file.instruments.voltmeters if section.name == meter.name)
 
 

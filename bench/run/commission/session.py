@@ -93,7 +93,7 @@ Wire = Callable[[str, str, str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Exchange:
+class TimedExchange:
     """A command and how long its answer took, s."""
 
     instrument: str
@@ -108,7 +108,7 @@ class WireWatch:
         self.time_s = time_s or SystemClock().now_s
         self._log = log
         self._sent: dict[str, tuple[str, float]] = {}
-        self._exchanges: list[Exchange] = []
+        self._exchanges: list[TimedExchange] = []
         self._failures: list[tuple[str, str]] = []
 
     def __call__(self, instrument: str, direction: str, text: str) -> None:
@@ -121,7 +121,7 @@ class WireWatch:
             self._failures.append((instrument, text))
         elif instrument in self._sent:
             command, sent_s = self._sent.pop(instrument)
-            self._exchanges.append(Exchange(instrument, command, now_s - sent_s))
+            self._exchanges.append(TimedExchange(instrument, command, now_s - sent_s))
         if self._log is not None:
             self._log(instrument, direction, text)
 
@@ -129,7 +129,7 @@ class WireWatch:
         """Return the place up to which all was seen."""
         return len(self._exchanges), len(self._failures)
 
-    def exchanges(self, mark: tuple[int, int], instrument: str) -> list[Exchange]:
+    def exchanges(self, mark: tuple[int, int], instrument: str) -> list[TimedExchange]:
         """Return the exchanges of an instrument since a mark."""
         return [one for one in self._exchanges[mark[0] :] if one.instrument == instrument]
 
@@ -155,11 +155,11 @@ class Skipped(Exception):
     """The person leaves a check out; the text says why."""
 
 
-class Ended(Exception):
+class SessionEnded(Exception):
     """The person, or the end of the answers, ends the evening; the text says why."""
 
 
-class NoteWith(Exception):
+class CheckEnded(Exception):
     """A check ends here, with a finding of its own."""
 
     def __init__(self, finding: Finding) -> None:
@@ -167,8 +167,8 @@ class NoteWith(Exception):
         self.finding = finding
 
 
-class Listening:
-    """A `Person` whose wishes mean something here: `Skipped` for :skip REASON, `Ended` for :abort."""
+class CommissioningPerson:
+    """A `Person` whose wishes mean something here: `Skipped` for :skip REASON, `SessionEnded` for :abort."""
 
     def __init__(self, person: Person) -> None:
         self._person = person
@@ -183,12 +183,12 @@ class Listening:
                 if wish.control.wish is Wish.SKIP:
                     raise Skipped(wish.control.reason) from wish
                 if wish.control.wish is Wish.ABORT:
-                    raise Ended("ended by the person") from wish
+                    raise SessionEnded("ended by the person") from wish
             put = replace(prompt, text=ONLY_THESE + prompt.text)
 
 
 @dataclass
-class Evening:
+class CommissioningSession:
     """A bench that is commissioned.
 
     `time_s` is by which durations are measured: the bench's clock, on a simulated one with the time that the
@@ -224,7 +224,7 @@ class Evening:
     # --- the person ---------------------------------------------------------------------------------
 
     def confirm(self, text: str, *, default: str | None = None, action: Action | None = None) -> None:
-        """Have the person confirm. Raises `Skipped`, `Ended`, `BenchError` where it is refused."""
+        """Have the person confirm. Raises `Skipped`, `SessionEnded`, `BenchError` where it is refused."""
         self._prompts += 1
         prompt = Prompt(
             f"commission/{self._prompts}",
@@ -236,7 +236,7 @@ class Evening:
         try:
             confirm(self.person, prompt)
         except NoAnswer as error:
-            raise Ended(error.cause) from error
+            raise SessionEnded(error.cause) from error
 
     # --- checks -------------------------------------------------------------------------------------
 
@@ -259,7 +259,7 @@ class Evening:
         """Carry out one check of one instrument and keep what it finds, whatever it raises.
 
         `also` are others that take part in it; `by_answers` has the time of single answers judged as well,
-        `by_wire` what else the wires show; without `opened` none is needed. Raises `Ended` and
+        `by_wire` what else the wires show; without `opened` none is needed. Raises `SessionEnded` and
         `KeyboardInterrupt` alone.
         """
         name = instrument.name
@@ -291,10 +291,10 @@ class Evening:
             return look()
         except Skipped as why:
             return Finding(check, name, State.SKIPPED, str(why))
-        except NoteWith as ended:
+        except CheckEnded as ended:
             return ended.finding
         except NoAnswer as error:
-            raise Ended(error.cause) from error
+            raise SessionEnded(error.cause) from error
         except InstrumentLost as error:
             self._lose(error.instrument)
             return self._of_error(check, name, State.COULD_NOT, error)

@@ -16,7 +16,7 @@ from bench.certificate.dcc.nodes import NAMESPACES, broken_rules
 from bench.certificate.dcc.results import region_factor
 from bench.certificate.proof import Writer
 from bench.services.calibration import verification_of
-from bench.services.verification import Asked
+from bench.services.verification import VerdictOptions
 from tests.support.certificates import ORDER
 from tests.support.results import calibration_json
 
@@ -163,7 +163,7 @@ def test_the_temperature_of_the_block_has_its_uncertainty(root):
 def test_nothing_is_conditional_under_a_binary_rule(issued_certificate, rule, word, conformity):
     """|Δg| within the limit by less than the guard band: passed, failed or conditional, as the rule has it."""
     found = issued_certificate.found
-    judged = verification_of(found.result.source, found.result, Asked(rule=rule))
+    judged = verification_of(found.result.source, found.result, VerdictOptions(rule=rule))
     assert judged.verification.statement == "conditional pass"
     certificate = replace(issued_certificate, found=replace(found, verdict=judged))
     root = etree.fromstring(document_of(certificate))

@@ -6,10 +6,10 @@ import pytest
 
 from bench.run.commission.session import (
     ONLY_THESE,
-    Ended,
-    Evening,
+    CommissioningSession,
     Figure,
     Finding,
+    SessionEnded,
     Skipped,
     State,
     WireWatch,
@@ -34,11 +34,11 @@ def person() -> Says:
 
 
 @pytest.fixture
-def tonight(clock: VirtualClock, person: Says) -> Evening:
+def tonight(clock: VirtualClock, person: Says) -> CommissioningSession:
     return evening(person, clock, Instruments(meters(clock), Head("head", clock, (-0.1, 6.0))))
 
 
-def works(tonight: Evening) -> Finding:
+def works(tonight: CommissioningSession) -> Finding:
     return Finding("check", tonight.instruments.head.name, State.WORKS, "fine")
 
 
@@ -140,10 +140,10 @@ def test_skip_and_abort_are_heard_and_no_other_wish(tonight, person):
     with pytest.raises(Skipped, match="no shorts here"):
         tonight.confirm("Go on?")
     person.answers = [OperatorWish(RunControl(Wish.ABORT))]
-    with pytest.raises(Ended):
+    with pytest.raises(SessionEnded):
         tonight.confirm("Go on?")
     person.answers = [NoAnswer("operator", "the answers ended", "answer")]
-    with pytest.raises(Ended, match="the answers ended"):
+    with pytest.raises(SessionEnded, match="the answers ended"):
         tonight.confirm("Go on?")
 
 

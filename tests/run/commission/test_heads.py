@@ -5,7 +5,7 @@ import math
 import pytest
 
 from bench.run.commission.devices import check_limits, check_moves
-from bench.run.commission.session import Evening, State
+from bench.run.commission.session import CommissioningSession, State
 from bench.run.events import Wish
 from bench.run.instruments import Instruments
 from bench.run.person import OperatorWish, RunControl
@@ -28,7 +28,7 @@ def person():
     return Says()
 
 
-def tonight(clock, person, **head) -> Evening:
+def tonight(clock, person, **head) -> CommissioningSession:
     return evening(person, clock, Instruments(meters(clock), Head("head", clock, LIMITS, **head)))
 
 
