@@ -1,1 +1,1 @@
-"""Files that people write: bench files, model files; those that are shipped."""
+"""Files that people write: bench files, procedures, models; the instruments that they may name."""

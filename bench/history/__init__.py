@@ -1,1 +1,1 @@
-"""Calibrations of one block over time: what changed beyond its uncertainty, and what drifts."""
+"""Many runs: drift of a block, control charts, benches compared, what the runs of a bench tell of it."""

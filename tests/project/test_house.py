@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from docs.generators import rooms
 from tests.project.test_distribution import PROJECT, ROOT
 
 MOST_LINES = 600
@@ -61,3 +62,8 @@ def test_the_hooks_before_a_commit_are_our_own_tools():
         tool = Path(hook["entry"].split()[0])
         assert tool.parent == Path(".venv/bin")
         assert tool.name in linted
+
+
+def test_the_list_of_rooms_for_contributors_is_that_of_the_code():
+    text = rooms.CONTRIBUTING.read_text(encoding="utf-8")
+    assert text == rooms.listing(text), "call docs.generators.rooms.write()"
