@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import time
 from datetime import UTC, datetime
-from typing import Protocol
+from typing import Final, Protocol
+
+HASTY_S: Final = 1.0
+"""Long enough for an instrument that is there: its reply is waited for no longer in haste."""
 
 
 class Clock(Protocol):
@@ -35,3 +38,14 @@ class SystemClock:
 def utc_now() -> datetime:
     """Return the civil time, for the record only; nothing is timed with it."""
     return datetime.now(tz=UTC)
+
+
+class Haste:
+    """Whether waiting is to be cut short; what was to be sent is sent all the same."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def limited_s(self, timeout_s: float) -> float:
+        """Return how long to wait for what may otherwise take `timeout_s`."""
+        return min(timeout_s, HASTY_S) if self.asked else timeout_s

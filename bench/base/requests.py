@@ -19,6 +19,9 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
 
 NOT_GIVEN: Final = inspect.Parameter.empty
+ESTIMATORS_TOLD: Final = "The estimators."
+ESTIMATORS_IN_A_BUDGET: Final = "The estimators, in a budget."
+"""Helps in whose place the command line puts the names of the estimators: to look for them takes a second."""
 
 
 @dataclass(frozen=True)

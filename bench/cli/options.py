@@ -15,12 +15,16 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import typer
 from typer.core import TyperCommand, TyperOption
 
-from bench.base.requests import NOT_GIVEN, RequestField, fields_of
+from bench.base.requests import (
+    ESTIMATORS_IN_A_BUDGET,
+    ESTIMATORS_TOLD,
+    NOT_GIVEN,
+    RequestField,
+    fields_of,
+)
 from bench.cli import completing
 from bench.cli.commands import COMPLETED_BY, Commands
 from bench.config.devices import FOLDERS
-from bench.services.requests.evaluation import ESTIMATORS_TOLD
-from bench.services.requests.planning import ESTIMATORS_IN_A_BUDGET
 
 devices_given: ContextVar[tuple[str, ...]] = ContextVar("devices_given", default=())
 """The folders that `--devices` names, as they were typed."""

@@ -12,8 +12,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, ClassVar, Final
 
-from drivers.clock import SystemClock
-from drivers.making_safe import Haste
+from drivers.clock import Haste, SystemClock
 
 # the terminal's window closed counts as well, where the system has that signal
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))

@@ -67,9 +67,8 @@ from bench.services.requests.shared import runs_folder
 from bench.services.traceability import remarks
 from bench.services.until import noted_goals, until_of
 from bench.services.verification import NOTHING_ASKED, VerdictOptions, judgement_of
-from drivers.clock import utc_now
+from drivers.clock import Haste, utc_now
 from drivers.interfaces import BenchError
-from drivers.making_safe import Haste
 from drivers.person import Prompt, PromptKind
 from drivers.wire.replay import WireLog, logged_wire
 

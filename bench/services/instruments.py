@@ -32,7 +32,7 @@ from bench.services.errors import Refused
 from bench.services.own_effects import simulated_truth
 from bench.services.records import versions
 from drivers.angles import format_dms
-from drivers.clock import Clock, utc_now
+from drivers.clock import Clock, Haste, utc_now
 from drivers.interfaces import (
     BenchError,
     Identity,
@@ -47,7 +47,7 @@ from drivers.interfaces import (
     Voltmeter,
     VoltmeterSettings,
 )
-from drivers.making_safe import Haste, let_go
+from drivers.making_safe import let_go
 from drivers.person import Answer, Person, Prompt
 from drivers.wire.replay import WireLog, logged_wire
 

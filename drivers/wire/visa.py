@@ -13,9 +13,8 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from drivers.clock import Clock, SystemClock
+from drivers.clock import Clock, Haste, SystemClock
 from drivers.interfaces import BadReading, BenchError, InstrumentLost
-from drivers.making_safe import Haste
 from drivers.wire.prologix import SCHEME, AdapterConnection
 from drivers.wire.pyvisa_connection import Connection, SerialSettings, probable_cause
 from drivers.wire.resources import Holding

@@ -22,9 +22,8 @@ from bench.config.devices.voltmeters import Keysight34970AThermometerSection
 from bench.model.forward import ForwardModel
 from bench.run.instruments import Instruments
 from drivers.chambers import ChamberLimits
-from drivers.clock import Clock
+from drivers.clock import Clock, Haste
 from drivers.interfaces import BenchError
-from drivers.making_safe import Haste
 from drivers.motion import Travel
 from drivers.person import Person
 from drivers.wire.resources import Holding

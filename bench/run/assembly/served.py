@@ -33,9 +33,8 @@ from bench.run.instruments import Instruments
 from bench.run.person import NO, problem_with_answer
 from bench.run.runner import Observer
 from drivers.angles import parse_angle
-from drivers.clock import Clock, SystemClock
+from drivers.clock import Clock, Haste, SystemClock
 from drivers.interfaces import BenchError, Voltmeter
-from drivers.making_safe import Haste
 from drivers.person import Answer, Person, Prompt, WatchingPerson
 from drivers.wire.resources import Holding
 from drivers.wire.visa import MessageSession, Wire

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Protocol
+from typing import Annotated, Any, Protocol
 
-from bench.base.requests import Option
+from bench.base.requests import ESTIMATORS_TOLD, Option
 from bench.services.requests.shared import (
     Data,
     Effects,
@@ -29,9 +29,6 @@ class Calibrated(Protocol):
 
 Given = str | Path | Calibrated | None
 """Coefficients of another day: a result of `bench calibrate --json` by path, or one at hand."""
-
-ESTIMATORS_TOLD: Final = "The estimators."
-"""Help text that the command line replaces by the names there are."""
 
 SourceField = Annotated[
     Data, Option("Run (name or path) or readings file.", argument=True, completes="sources", typed=str)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
-from bench.base.requests import Option
+from bench.base.requests import ESTIMATORS_IN_A_BUDGET, Option
 from bench.services.requests.shared import (
     BenchField,
     GravityField,
@@ -17,9 +17,6 @@ from bench.services.requests.shared import (
     RunsField,
     UntilField,
 )
-
-ESTIMATORS_IN_A_BUDGET: Final = "The estimators, in a budget."
-"""Help text that the command line replaces by the names there are."""
 
 ProcedureField = Annotated[
     str, Option("Procedure, by path or shipped name.", metavar="FILE", completes="procedures")

@@ -6,13 +6,13 @@ import socket
 
 import pytest
 
+from drivers.clock import Haste
 from drivers.interfaces import InstrumentLost
-from drivers.making_safe import Haste
 from tests.drivers.wire.test_visa import LONG_S, served, session
 
 
 def test_in_haste_a_wait_that_is_under_way_is_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.making_safe.HASTY_S", 0.05)
+    monkeypatch.setattr("drivers.clock.HASTY_S", 0.05)
     monkeypatch.setattr("drivers.wire.visa._SLICE_S", 0.02)
     haste = Haste()
 
