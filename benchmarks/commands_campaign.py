@@ -151,7 +151,7 @@ class Desk:
         """Type a command; `trouble` comes over it at its `at`-th event."""
         before = self._lines()
         self._trouble, self._at, self._events, self._asked = trouble, at, 0, OpenPrompt()
-        self._away = launching.ANSWERS in arguments
+        self._away = f"--answers={launching.ANSWERS}" in arguments
         out = io.StringIO()
         with (
             contextlib.redirect_stdout(out),
