@@ -15,7 +15,7 @@ ENTRY_TITLES: Final = {
     "EffectEntry": "Entry of effects",
     "FormulaEntry": "Entry of formulas",
     "FormulaParameter": "Parameter of a formula",
-    "LeftOpen": "What is left open of a shape",
+    "OpenShape": "What is left open of a shape",
 }
 
 _INTRODUCTION: Final = """\

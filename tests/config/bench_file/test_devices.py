@@ -129,7 +129,7 @@ def test_two_of_one_name_are_refused_with_both_places(mine, tmp_path):
     text = told.value.mistakes[0].text
     assert str(mine / "my_meter.py") in text
     assert str(mine / "second.py") in text
-    with pytest.raises(FileMistakes, match=r"'zaber' is brought by .*zaber\.py and by .*third\.py; take one"):
+    with pytest.raises(FileMistakes, match=r"'zaber' is brought by .*heads\.py and by .*third\.py; take one"):
         load_bench(find_bench("bench-motorised"))
 
 
