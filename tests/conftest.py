@@ -30,6 +30,11 @@ class Session:
     draw: Callable[..., str] | None = None
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """Return the workers of `-n auto`: one more than cores, since campaigns on wires mostly wait."""
+    return (os.cpu_count() or 1) + 1
+
+
 def pytest_configure() -> None:
     """Keep the standard error of the session, which tests do not see."""
     Session.stderr = os.dup(2)
