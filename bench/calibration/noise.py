@@ -66,7 +66,7 @@ class KnownNoise:
         return float(np.mean(self.channel_dof))
 
     def given(self) -> Noise:
-        """Return the sizes as those of readings that are yet to come."""
+        """Return these sizes as the noise of future readings, taken as exactly known (infinite dof)."""
         x, y, z = self.channels.tolist()
         return Noise(rms(self.channels), self.setting_rad, np.inf, "given", channels=(x, y, z))
 

@@ -126,7 +126,7 @@ class ThermalFit:
 
 
 def row_outputs(coefficients: Floats, force: Floats) -> Floats:
-    """Return U = K a + U0 with coefficients (n, 12) of each row's own and forces (n, 3), shape (n, 3)."""
+    """Return U = K a + U0, shape (n, 3); each row has its own coefficients (n, 12) and force (n, 3)."""
     scale = coefficients[:, :9].reshape(-1, 3, 3)
     return np.asarray(np.einsum("nij,nj->ni", scale, force) + coefficients[:, 9:], dtype=np.float64)
 

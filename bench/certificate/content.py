@@ -79,9 +79,10 @@ class Values:
 
 @dataclass(frozen=True)
 class Condition:
-    """What prevailed during the run, from `low` to `high` in `unit`; `key` is that of its text, `about` its blank.
+    """A condition during the run: a quantity that lay between `low` and `high`, in `unit`.
 
-    `u` is the standard uncertainty where there is one beside the range.
+    `key` names its text in the certificate; `about` fills the blank in that text (the supply rail). `u` is its
+    standard uncertainty, None where only the range is known.
     """
 
     key: str

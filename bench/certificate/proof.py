@@ -40,7 +40,7 @@ class Writer:
         self._texts = certificate.texts
 
     def say(self, key: str, **values: object) -> list[str]:
-        """Return a text in each language; a value that is words in each language is taken by language."""
+        """Return the text `key` in each language; a value that is a list holds one wording per language."""
         return [
             text.say(key, **{name: of[i] if isinstance(of, list) else of for name, of in values.items()})
             for i, text in enumerate(self._texts)

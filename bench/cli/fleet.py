@@ -78,7 +78,7 @@ def prior(
     ] = None,
     json: JsonOption = None,
 ) -> int:
-    """What the units of a type tell of a further one, as a file for 'bench calibrate --prior'."""
+    """Estimate a prior for a new unit from calibrated units of its type, for 'bench calibrate --prior'."""
     from bench.history.bench_or_block import prior_of
     from bench.results.fleet import print_prior, prior_result
 

@@ -53,7 +53,7 @@ class Data:
     along: Floats
 
     def at(self, ratio: int) -> Data:
-        """Return what is needed for one ratio alone."""
+        """Return these products for the noise ratio with the index `ratio` only."""
         return Data(self.square[ratio : ratio + 1], self.along[ratio : ratio + 1])
 
     def part(self, of: slice) -> Data:

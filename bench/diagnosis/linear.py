@@ -211,7 +211,10 @@ class LinearSystem:
 
     @property
     def g_per_signal(self) -> Floats:
-        """What turns a row into g (N,): by the scale factor of its channel, of a modulus by its derivative."""
+        """Factors that convert the rows to g, shape (N,).
+
+        A channel's row has 1/|scale factor of the channel|, a row of the modulus the length of d|a|/du.
+        """
         of_channel = 1.0 / np.abs(np.diag(self.block.K))[np.minimum(self.rows.channel, 2)]
         modulus = self.rows.channel == MODULUS
         of_channel[modulus] = 1.0 / _modulus(self.block, self.readings.signal[self.rows.reading[modulus]])[2]

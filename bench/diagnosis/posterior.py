@@ -481,7 +481,7 @@ class OpenSize(NamedTuple):
 
 
 def pieces(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> Iterator[OpenSize]:
-    """Yield the sizes that show in these readings."""
+    """Yield each open size (u > 0) of the effects `others` that changes any row of these readings."""
     for applied in others:
         shape = tuple(
             (p.name, float(applied.values[p.name])) for p in applied.effect.parameters if p.is_shape

@@ -56,7 +56,10 @@ class PointRow:
 
 @dataclass(frozen=True)
 class VerdictTold:
-    """The verdict: `state` of its box and the words, worst |Δg| ± U against the limit, and the risk."""
+    """The verdict as the panel shows it.
+
+    `state` styles the box and `words` say the outcome; then worst |Δg| ± U, the limit and the risk.
+    """
 
     state: str
     words: str

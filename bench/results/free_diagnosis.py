@@ -239,7 +239,7 @@ def parameter_lines(one: FreeFound) -> list[str]:
 
 
 def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
-    """Yield what a person does after it, a sentence each, with the commands to type."""
+    """Yield the steps that should follow the diagnosis, a sentence each, with any command to type."""
     several = found.records * found.rows.sensors > 1
     if found.apart:
         yield "Measure the positions that stand apart again, at rest" + (

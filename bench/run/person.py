@@ -37,7 +37,7 @@ class WishAuthor:
     where: str = ""
 
     def to_json(self) -> dict[str, str]:
-        """Return it as it stands in an event or a line left in a run's folder; nothing where it is not known."""
+        """Return the author as events and lines in a run's folder record it; an empty dict if nothing is known."""
         told = {"by": self.by, "role": self.role, "where": self.where}
         return told if any(told.values()) else {}
 

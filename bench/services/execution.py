@@ -196,7 +196,10 @@ def _free_name(procedure: str, runs: Path) -> str:
 
 @dataclass(frozen=True)
 class AnswerChannels:
-    """`wishes` are those left in the run's folder; `asker` is its living person, None where none is asked."""
+    """How people reach a run.
+
+    `wishes` reads the wishes left in the run's folder; `asker` asks its person (None: the run asks nobody).
+    """
 
     wishes: WishListener
     asker: Asker | None = None

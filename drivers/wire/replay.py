@@ -317,7 +317,10 @@ class Replay(Connection):
         return False
 
     def take(self) -> tuple[bytes, bool]:
-        """Take a reply; raise the failure instead if it was cut, or followed by another, or unasked for."""
+        """Return the next reply of the log.
+
+        If the log has a failure after it (the reply was cut, another followed, nobody asked), raise that failure.
+        """
         reply = self._next()
         self.fail(self._when)
         if self._when == BEFORE_SENDING:
