@@ -12,13 +12,13 @@ ROUNDING_RAD: Final = 1e-10
 """Keeps a reading exactly at the tolerance from being refused for the last bit of a float."""
 
 _MARKS: Final = (("°", "°º˚:"), ("′", "′'’´`:"), ("″", '″"”“'))
-"""For each place (degrees, minutes, seconds) its mark and what keyboards offer in its stead."""
+"""For each place (degrees, minutes, seconds) its mark and the substitutes on keyboards."""
 
 _PART: Final = re.compile(r"(?P<number>[0-9]+(?P<decimals>\.[0-9]+)?)(?P<mark>\s*[^\s0-9.]*)\s*")
 
 
 class Slip(NamedTuple):
-    """A classic slip in reading a scale: by how much it is off, as written and in degrees, and what it is."""
+    """A common slip in reading a scale: its error as written and in degrees, and its description."""
 
     size: str
     degrees: float
@@ -149,7 +149,7 @@ def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> st
 
 
 def _digits_swapped(read_rad: float, target_rad: float) -> bool:
-    """Tell whether one part (degrees, minutes) has two neighbouring digits swapped and the other agrees."""
+    """Return whether one part (degrees, minutes) has two neighbouring digits swapped and the other agrees."""
     read, target = (
         re.findall(r"[0-9]+", format_dms(angle)) for angle in (read_rad % math.tau, target_rad % math.tau)
     )

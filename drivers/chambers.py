@@ -1,4 +1,4 @@
-"""What chambers with a controller share: limits before anything is sent, and what a reading must prove."""
+"""The base of chambers with a controller: limits checked before anything is sent, checks of each reading."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from drivers.wire.visa import MessageSession
 
 NUMBER: Final = r"[+-]?\d{1,5}(?:\.\d{1,6})?"
-"""A temperature as controllers print it."""
+"""The pattern of a temperature in replies of controllers."""
 
 _PLAUSIBLE_K: Final = 30.0
-"""A sensor may show this much outside the limits: a room, a chamber that was just switched on."""
+"""Margin of the sensor's reading outside the limits, for a chamber at room temperature."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ class ControlledChamber(ABC):
 
     asks_person = False
     resolution_c: float = 0.1
-    """To what the controller rounds a set point."""
+    """The resolution to which the controller rounds a set point."""
 
     def __init__(
         self,
@@ -126,7 +126,7 @@ class ControlledChamber(ABC):
         return self._identity
 
     def close(self) -> None:
-        """Let the chamber go; it holds its temperature. Never raises, may be called twice."""
+        """Release the connection; the chamber holds its temperature. Never raises, may be called twice."""
         self._session.close()
 
     def make_safe(self) -> str:
@@ -174,7 +174,7 @@ class ControlledChamber(ABC):
 
     @abstractmethod
     def _refuse_unready(self, target_c: float) -> None:
-        """Raise what keeps the chamber from taking a demand: alarms, programs, limits of its own."""
+        """Raise an error for alarms, programs or own limits that keep the chamber from a demand."""
 
     @abstractmethod
     def _demand(self, target_c: float) -> None:
@@ -186,11 +186,11 @@ class ControlledChamber(ABC):
 
     @abstractmethod
     def _start(self) -> None:
-        """Have the set point conditioned, and prove it."""
+        """Start conditioning to the set point, and prove it."""
 
     @abstractmethod
     def _stop(self) -> None:
-        """Have nothing conditioned any more, and prove it."""
+        """Stop conditioning, and prove it."""
 
     @abstractmethod
     def _air_c(self, target_c: float | None) -> float:

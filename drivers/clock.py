@@ -47,5 +47,5 @@ class Haste:
         self.asked = False
 
     def limited_s(self, timeout_s: float) -> float:
-        """Return how long to wait for what may otherwise take `timeout_s`."""
+        """Return the time to wait, s: `timeout_s`, or less in haste."""
         return min(timeout_s, HASTY_S) if self.asked else timeout_s

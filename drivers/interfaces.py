@@ -1,4 +1,4 @@
-"""What the application may ask of an instrument, and how instruments and persons fail.
+"""The interfaces of instruments for the application, and the errors of instruments and persons.
 
 Small one-verb protocols: the application knows these and never a concrete driver. What a person is asked is in
 `drivers.person`.
@@ -42,7 +42,7 @@ class BadReading(BenchError):
 
 
 class LimitExceeded(BenchError):
-    """A demand outside what the instrument or the unit under test may be given."""
+    """A demand outside the limits of the instrument or of the unit under test."""
 
 
 class WentAstray(BenchError):
@@ -116,7 +116,7 @@ class SelfTesting(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class VoltmeterSettings:
-    """How a voltmeter reads: range in volts, integration in power-line cycles, samples per reading."""
+    """Settings of a voltmeter: range in volts, integration in power-line cycles, samples per reading."""
 
     range_v: float
     nplc: float
@@ -145,7 +145,7 @@ class VoltmeterLimits:
         return replace(self, most_samples=self.most_samples // count)
 
     def transgressions(self, settings: VoltmeterSettings) -> list[str]:
-        """Return what of the settings the model cannot do, one phrase for each."""
+        """Return the settings that the model cannot do, one phrase for each."""
         wrong = []
         if settings.range_v not in self.ranges_v:
             wrong.append(f"a range of {settings.range_v:g} V (it has {_listed(self.ranges_v)} V)")
@@ -187,7 +187,7 @@ class Voltmeter(Instrument, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class HeadPosition:
-    """Where the head stands by its own scale, and from which side it came."""
+    """The position of the head by its own scale, and the side of its approach."""
 
     angle_rad: float
     direction: Direction
@@ -235,7 +235,7 @@ shaft; across it, positive where the end to the right is."""
 
 @dataclass(frozen=True, slots=True)
 class Inclination:
-    """What a level shows, its own zero included, rad; the signs are those of `LevelAxis`."""
+    """An inclination shown by a level, its own zero included, rad; signs as in `LevelAxis`."""
 
     along_rad: float
     across_rad: float
@@ -263,7 +263,7 @@ class Level(Instrument, Protocol):
 
     @property
     def sizes(self) -> LevelSizes:
-        """How exact it is."""
+        """The standard uncertainties of the level."""
 
     def inclination(self, key: str, *, turned: bool) -> Inclination:
         """Return what it shows at rest in its first position, or `turned` half a turn from it, with its own signs.
@@ -280,7 +280,7 @@ class Thermometer(Instrument, Protocol):
     """Whether a reading costs a person an answer: then it is read at each mounting only."""
 
     sensor: str
-    """What measures, and where, as it stands in the record: "Pt100, four wires, channel 104"."""
+    """The sensor and its place, as in the record: "Pt100, four wires, channel 104"."""
 
     def block_c(self, key: str) -> float:
         """Return the temperature that it shows, °C; `key` names the step that asks.
@@ -317,7 +317,7 @@ class OutputSettings:
 
 @dataclass(frozen=True, slots=True)
 class OutputState:
-    """How an output is: on or not, what it is set to, the V and A that the supply measures at it.
+    """The state of an output: on or off, its settings, and its measured voltage (V) and current (A).
 
     `tripped`: a protection of its own has switched it off, and keeps it so until somebody clears it.
     `limiting`: it is on and gives the current of its limit, not the voltage that it is set to.
@@ -333,7 +333,7 @@ class OutputState:
 
 @dataclass(frozen=True, slots=True)
 class OutputLimits:
-    """What an output can do: lowest and highest voltage (V) and current limit (A), and the steps of both.
+    """The limits of an output: lowest and highest voltage (V) and current limit (A), and the steps of both.
 
     `over_voltage_v` are lowest and highest setting of its over-voltage protection, None where it has none.
     """
@@ -346,7 +346,7 @@ class OutputLimits:
     over_voltage_step_v: float = 0.1
 
     def transgressions(self, settings: OutputSettings) -> list[str]:
-        """Return what of the settings the output cannot do, one phrase for each."""
+        """Return the settings that the output cannot do, one phrase for each."""
         wrong = []
         if not _inside(settings.voltage_v, self.voltage_v):
             wrong.append(f"{settings.voltage_v:g} V (it has {_span(self.voltage_v)} V)")
@@ -404,7 +404,7 @@ def _span(span: tuple[float, float]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class SupplyLimits:
-    """What a supply can do: its outputs by name. `together`: one switch is for all of its outputs.
+    """The limits of a supply: its outputs by name. `together`: one switch is for all of its outputs.
 
     Its facts state them once: what a bench file may ask is held against the same ones.
     """
@@ -423,7 +423,7 @@ class SupplyLimits:
         return cls(limits, facts.SWITCHED_TOGETHER)
 
     def transgressions(self, settings: Mapping[str, OutputSettings]) -> list[str]:
-        """Return what of the settings the supply cannot do, one phrase for each, with its output."""
+        """Return the settings that the supply cannot do, one phrase for each, with its output."""
         wrong = []
         for name, wanted in settings.items():
             if name not in self.outputs:
@@ -437,7 +437,7 @@ class SupplyLimits:
 
 @runtime_checkable
 class PowerSupply(Instrument, Protocol):
-    """What feeds the unit under test: one or more outputs.
+    """A power supply of the unit under test, with one or more outputs.
 
     It goes on as it is when it is opened and when it is closed: a unit that is switched on stays so.
     """
@@ -449,7 +449,7 @@ class PowerSupply(Instrument, Protocol):
     """Whether `state` costs a person answers: then it is asked at each mounting only."""
 
     def state(self, key: str) -> dict[str, OutputState]:
-        """Return how every output is now, as the supply tells it; nothing is changed.
+        """Return the present state of every output, as the supply reports it; nothing is changed.
 
         Raises `InstrumentLost`, `BadReading`, `InstrumentRefused` (errors that it reports), `NoAnswer`.
         """

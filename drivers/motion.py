@@ -1,4 +1,4 @@
-"""What motorised heads share: limits, approach, a watched way, in position by a window."""
+"""The base of motorised heads: limits, approach, supervision of a movement, arrival in a window."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
 
 NOISE_RAD: Final = math.radians(0.05)
-"""A scale may fall back by this much on the way: its noise, the play that is taken up at the start."""
+"""The scale may fall back by this much during a movement: by noise, and by play at the start."""
 STALLED_S: Final = 5.0
 """A head that takes its load along has gone on by then."""
 _LEAST_OF_SPEED: Final = 0.05
-"""Slower than this part of its speed it does not go on."""
+"""A head slower than this fraction of its speed counts as stalled."""
 
 
 @dataclass
@@ -96,7 +96,7 @@ _PATIENCE_S: Final = 10.0
 
 
 class Axis(Protocol):
-    """What a controller must do for its head; all angles are of the head's scale, rad."""
+    """The interface of a controller for one axis; all angles are of the head's scale, rad."""
 
     def prepare(self) -> None:
         """Make the axis ready to move: powered, homed, in its positioning mode."""
@@ -116,7 +116,7 @@ class Axis(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Travel:
-    """How a head may move and when it has arrived.
+    """The limits of a head's movements and the criterion of arrival.
 
     It stays within [`minimum_rad`, `maximum_rad`], also on the way. It arrives from at least `backoff_rad`
     away on the demanded side. It is in position when for `settle_s` every sample, one each `poll_s`, lies
@@ -151,7 +151,7 @@ class Travel:
 
     @property
     def text(self) -> str:
-        """The limits as a person reads them."""
+        """The limits as text for a person."""
         return f"{format_dms(self.minimum_rad)} to {format_dms(self.maximum_rad)}"
 
     def time_limit_s(self, way_rad: float) -> float:

@@ -1,4 +1,4 @@
-"""What a person is asked, as values: it can be shown in a terminal, on a page, or answered by a program."""
+"""Prompts to a person as values, to be shown in a terminal or on a page, or answered by a program."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ Action = (
     | LevelPlatform
     | Say
 )
-"""What a prompt asks a person to do, for one that is a program."""
+"""The task of a prompt, for a program in place of a person."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +160,7 @@ class Answer:
 
 
 class Person(Protocol):
-    """Who is asked: a terminal, a panel, a scripted operator."""
+    """The interface to the person who is asked: a terminal, a panel, a scripted operator."""
 
     def ask(self, prompt: Prompt) -> Answer:
         """Put the prompt and wait for the answer.
@@ -184,7 +184,7 @@ class WatchingPerson(Protocol):
 
 
 ATTEMPTS: Final = 5
-"""So often is a question put before it is given up."""
+"""The most attempts of a question."""
 
 _Read = TypeVar("_Read")
 

@@ -1,4 +1,4 @@
-"""What the SCPI voltmeters have in common: identify, set and prove, start, fetch into strict readings.
+"""The base of the SCPI voltmeters: identify, set and prove, start, fetch into strict readings.
 
 A driver of a model says which identities it takes, which settings it sends and how they read back, and where it
 speaks otherwise than the 34401A's line its words for triggering, readings, errors and remote control; all that
@@ -70,7 +70,7 @@ class ScpiVoltmeter(ABC):
     makers: str = line.MAKERS
     """Pattern of its makers' names."""
     models: tuple[str, ...] = ()
-    """The names in the identities that are taken."""
+    """The names of the accepted models in the identity."""
     called: str = ""
     """What it is, for whoever has connected another: "a 34401A"."""
     hint: str = ""
@@ -83,7 +83,7 @@ class ScpiVoltmeter(ABC):
     reading_characters: int = line.READING_CHARACTERS
     overload_v: float = line.OVERLOAD_V
     sample_overhead_s: float = line.SAMPLE_OVERHEAD_S
-    """What a sample takes beside its two integrations."""
+    """Overhead of a sample beside its two integrations, s."""
     error_query: str = "SYST:ERR?"
     error_reply: str = r'([+-]?\d+),"([^"]*)"'
     """Pattern of an entry of the error queue: its number first, 0 for none."""
@@ -121,7 +121,7 @@ class ScpiVoltmeter(ABC):
     @property
     @abstractmethod
     def limits(self) -> VoltmeterLimits:
-        """What the model can do."""
+        """The limits of the model."""
 
     @abstractmethod
     def _setup(self, settings: VoltmeterSettings) -> Sequence[ProvenSetting]:
@@ -269,7 +269,7 @@ class ScpiVoltmeter(ABC):
         )
 
     def _discard(self) -> None:
-        """Wait for a reading that nobody fetched."""
+        """Wait for a reading that was not fetched, and discard it."""
         if self._settings is not None:
             self._fetch(self._settings)
 
@@ -314,7 +314,7 @@ class ScpiVoltmeter(ABC):
         return [] if taken else [f"{question} answers {reply}, not {_plain(wanted)}"]
 
     def _errors(self) -> list[str]:
-        """Empty the error queue and return what stood in it."""
+        """Empty the error queue and return its errors."""
         errors = []
         for _ in range(self.errors_kept + 1):
             reply = self._session.query(

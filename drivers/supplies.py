@@ -1,4 +1,4 @@
-"""What power supplies with a wire share: limits first, all is proved, nothing is changed that is on."""
+"""The base of supplies with a wire: limits first, every setting proved, outputs that are on unchanged."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from drivers.wire.visa import MessageSession
 
 NUMBER: Final = r"[+-]?\d{1,3}(?:\.\d{1,8})?(?:E[+-]\d{1,3})?"
-"""A voltage or a current as supplies print it."""
+"""The pattern of a voltage or current in replies of supplies."""
 
 SWITCHING_S: Final = 0.5
-"""After switching the unit is left alone for so long: its in-rush is over, an output without load is discharged."""
+"""Pause after switching, s: the in-rush of the unit ends, an output without load discharges."""
 
 _ERRORS_ASKED: Final = 32
-"""More than any queue holds."""
+"""The most errors to read from a queue: more than any queue holds."""
 
 
 class WiredSupply(ABC):
@@ -157,7 +157,7 @@ class WiredSupply(ABC):
             )
 
     def _refuse_not_set_up(self, output: str, states: Mapping[str, OutputState]) -> None:
-        """Refuse to switch on what is not set as it was set up, such as after a power cut."""
+        """Raise `InstrumentRefused` for an output with other settings than set up, as after a power cut."""
         if output not in self._set:
             raise InstrumentRefused(
                 self.name, f"its output {output} was not set up", "set it up before it is switched on"
@@ -199,7 +199,7 @@ class WiredSupply(ABC):
 
     @abstractmethod
     def _states(self) -> dict[str, OutputState]:
-        """Return how every output is; nothing is changed."""
+        """Return the state of every output; nothing is changed."""
 
     def _refuse_unready(  # noqa: B027 - most have nothing of the kind
         self, states: Mapping[str, OutputState], settings: Mapping[str, OutputSettings]
@@ -212,11 +212,11 @@ class WiredSupply(ABC):
 
     @abstractmethod
     def _switch(self, output: str, on: bool) -> None:
-        """Send that an output is to be switched."""
+        """Send the command that switches an output."""
 
     @abstractmethod
     def _switch_all_off(self) -> None:
-        """Send that all outputs are to be switched off."""
+        """Send the command that switches all outputs off."""
 
     def _errors(self) -> list[str]:
         """Return the errors that the supply reports, and forget them there."""
@@ -240,7 +240,7 @@ class WiredSupply(ABC):
         self._identity = Identity(maker, model, "" if serial == "0" else serial, firmware)
 
     def _scpi_errors(self) -> list[str]:
-        """Empty the error queue of an SCPI supply and return what stood in it."""
+        """Empty the error queue of an SCPI supply and return its errors."""
         errors = []
         for _ in range(_ERRORS_ASKED):
             reply = self._session.ask("SYST:ERR?", r'[+-]?\d+,"[^"]*"', "an error number and text")

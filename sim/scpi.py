@@ -105,7 +105,7 @@ class ScpiInstrument:
         return ";".join(replies).encode("ascii") if replies else None
 
     def device_clear(self) -> None:
-        """Give up what is under way; settings, errors and status stay."""
+        """Abort the command or measurement in progress; settings, errors and status stay."""
 
     def input_overflow(self) -> None:
         """Take note that a message was longer than the input buffer."""
@@ -120,7 +120,7 @@ class ScpiInstrument:
     # --- what an instrument overrides ---------------------------------------------------------------
 
     def admit(self, command: Command) -> None:
-        """Look at a command before its parameters are: wait for what is under way, or raise `ScpiError`."""
+        """Admit a command before its parameters are parsed: wait for a measurement, or raise `ScpiError`."""
 
     def reset(self) -> None:
         """Carry out *RST."""

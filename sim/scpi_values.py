@@ -219,7 +219,7 @@ class CommandParameter(Protocol):
 
     @property
     def optional(self) -> bool:
-        """Whether it may be left out."""
+        """Whether the parameter is optional."""
 
     def parse(self, text: str) -> Value:
         """Return the value. Raises `ScpiError` with the number that the standard gives the mistake."""

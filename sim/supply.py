@@ -1,4 +1,4 @@
-"""What simulated power supplies have in common: their outputs, as the world has them."""
+"""The base of simulated power supplies: their outputs in the world."""
 
 from __future__ import annotations
 
@@ -59,11 +59,11 @@ class Outputs:
         return low, high
 
     def stage(self, name: str) -> OutputPhase:
-        """Return how an output is set and switched now."""
+        """Return the present settings and switch of an output."""
         return self._world.power.stage(name, self._now_s)
 
     def shown(self, name: str) -> OutputReading:
-        """Return what an output gives now, as the supply measures it: in its steps."""
+        """Return voltage and current of an output as the supply measures them, rounded to its steps."""
         shown, limits = self._world.power.shown(name, self._now_s), self.limits[name]
         return replace(
             shown,
@@ -137,7 +137,7 @@ class KeysightSupply(RemoteInstrument):
 
     @abstractmethod
     def _preset(self, name: str) -> dict[str, Any]:
-        """Return how an output is after switching on and *RST."""
+        """Return the settings of an output after switching on and *RST."""
 
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:
         """Carry out a message; without mains nothing is answered."""

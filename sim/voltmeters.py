@@ -118,11 +118,11 @@ _QUICK_TEST_S: Final = 3e-3
 
 
 class MeteredSignal(Protocol):
-    """What a meter is wired to: one channel of the world."""
+    """The interface of the signal at a meter: one channel of the world."""
 
     @property
     def place(self) -> int:
-        """Which of the bench's meters stands here, from 0: each has a serial number of its own."""
+        """Index of the meter on the bench, from 0, which gives it its own serial number."""
 
     @property
     def temperature_c(self) -> float:
@@ -142,7 +142,7 @@ class MeteredSignal(Protocol):
 
 
 class Measurement(Protocol):
-    """How a sample is to be taken: what the converter has to know of a meter's settings."""
+    """The settings of a meter that its converter needs to take a sample."""
 
     @property
     def function(self) -> Function:
@@ -370,7 +370,7 @@ class LineMeter(RemoteInstrument):
 
 
 class TriggerState(Enum):
-    """Where the trigger system stands."""
+    """State of the trigger system."""
 
     IDLE = "idle"
     WAITING = "waiting for a trigger"

@@ -1,1 +1,1 @@
-"""What every room stands on: units, numbers in words, forms that read files that people write."""
+"""Foundations of all packages: units, formatted numbers, files and tables, checked reading of YAML."""

@@ -1,4 +1,4 @@
-"""Words for arrays, for the axes and for sizes of units, once: every room has them from here."""
+"""Array types, names of the axes and sizes of units, which all packages import from here."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def unit_vectors(vectors: Floats) -> tuple[Floats, Floats]:
 
 
 def least_squares(columns: Floats, target: Floats) -> tuple[Floats, Floats]:
-    """Return the solution (p,) or (p, k) of columns (n, p) for a target (n,) or (n, k), and what it leaves."""
+    """Return the solution (p,) or (p, k) of columns (n, p) for a target (n,) or (n, k), and residuals."""
     solution, *_ = np.linalg.lstsq(columns, target, rcond=None)
     return np.asarray(solution), target - columns @ solution
 
@@ -49,7 +49,7 @@ def u_of(covariance: Floats) -> Floats:
 
 
 class HasCovariance:
-    """What has a `covariance` (m, m), and so standard uncertainties."""
+    """A mixin that adds standard uncertainties to a class with a `covariance` (m, m)."""
 
     covariance: Floats
 

@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Final, TypeVar
 
 Listener = Callable[[str, int, int], None]
-"""Is told what is computed, how many of its parts are done, and how many there are."""
+"""A listener of progress: called with the computation's name, the parts done and their total number."""
 
 quiet: ContextVar[bool] = ContextVar("quiet", default=False)
 """Whether progress and notes are to be silent, as `--quiet` asks; results, questions and errors never are."""
@@ -26,7 +26,7 @@ class CalibrationError(ValueError):
 
 @contextmanager
 def heard_by(listener: Listener | None) -> Iterator[None]:
-    """Tell a listener of all that is `tracked` while the context lasts; None: nobody."""
+    """Report the progress of all `tracked` computations to a listener within the context; None: to nobody."""
     before = _listener.set(listener)
     try:
         yield
@@ -50,13 +50,13 @@ def tracked(parts: Iterable[_T], what: str, total: int | None = None) -> Iterato
 
 
 THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-"""Where these libraries look for the number of their threads."""
+"""Environment variables from which libraries of linear algebra read the number of threads."""
 
 
 def one_thread() -> None:
-    """Let linear algebra have one thread, where nobody said how many: of small matrices they wait for one another.
+    """Limit linear algebra to one thread, unless the number is set: threads slow small matrices down.
 
-    To be said before numpy is imported.
+    Call it before numpy is imported.
     """
     for name in THREADS:
         os.environ.setdefault(name, "1")
@@ -64,9 +64,9 @@ def one_thread() -> None:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Hold the collector while many small objects are made and kept, all of which it would go through every time.
+    """Pause the garbage collector while many small objects are made and kept, to save its repeated passes.
 
-    What no cycle holds is freed as ever. As a decorator it holds the collector for a function.
+    Objects without cycles are freed as usual. It also works as a decorator of a function.
     """
     was_on = gc.isenabled()
     gc.disable()
@@ -90,7 +90,7 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "cluster": ("dask", "distributed"),
     "pkcs11": ("pkcs11",),
 }
-"""What is imported of each extra of pyproject.toml; the first that has a package, where several have."""
+"""The imported packages of each extra of pyproject.toml; a package of several extras is under the first."""
 
 
 def missing(error: BaseException) -> str:
@@ -105,7 +105,7 @@ def missing(error: BaseException) -> str:
 
 
 def _in_certificates(trace: TracebackType | None) -> bool:
-    """Whether the import that failed stands in the room of certificates, whose extra has all that it imports."""
+    """Return whether a module of certificates made the failed import; their extra has all its packages."""
     while trace is not None:
         if trace.tb_frame.f_globals.get("__name__", "").startswith("bench.certificate."):
             return True

@@ -117,7 +117,7 @@ def cache_folder(part: str) -> Path:
 
 
 def read_json(content: bytes) -> Any:
-    """Return what a text in UTF-8 says. Raises `ValueError` for what is no JSON, as NaN and Infinity are none."""
+    """Return the value of JSON text in UTF-8. Raises `ValueError` for invalid JSON, also for NaN."""
     try:
         return from_json(content, allow_inf_nan=False)
     except ValueError:
@@ -140,7 +140,7 @@ def to_text(result: Any) -> str:
 
 
 def from_text(text: str | bytes) -> Any:
-    """Return what stands in JSON text, as the standard has it (RFC 8259).
+    """Return the value of JSON text by the standard (RFC 8259).
 
     Raises `ValueError` where it is not JSON, has `NaN` or `Infinity`, a key twice, or brackets nested so deep that
     nobody can have meant them.
@@ -184,7 +184,7 @@ def write_whole(path: Path, text: str | bytes) -> None:
 
 
 def _opened_at_once(path: Path) -> BinaryIO:
-    """Open what is no file to write into it; a pipe that nobody reads is not waited for."""
+    """Open a device or pipe to write into it; without waiting for a reader of a pipe."""
     try:
         descriptor = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
     except OSError as error:

@@ -18,7 +18,7 @@ PLACES_WITHOUT_U: Final = 9
 MOST_PLACES: Final = 15
 
 _MOST_OFF: Final = 0.03
-"""Rounding takes no more off an uncertainty than this part of it."""
+"""Rounding lowers an uncertainty by at most this fraction."""
 
 _PREFIXES: Final = (("", 1.0), ("m", 1e-3), ("µ", 1e-6), ("n", 1e-9))
 _PRINTED: Final = {"m/s^2": "m/s²"}
@@ -64,7 +64,7 @@ def read_number(text: str) -> float:
 
 
 def finite_or_none(value: float) -> float | None:
-    """Return a number as JSON has it: null where it is not finite."""
+    """Return a number for JSON: None (null) where it is not finite."""
     return float(value) if math.isfinite(value) else None
 
 
@@ -138,7 +138,7 @@ def quantity(value: float, unit: str) -> str:
 
 
 def probability(p: float) -> str:
-    """Return p as one writes it: "p = 0.34", "p < 0.0001"."""
+    """Return a probability as text: "p = 0.34", "p < 0.0001"."""
     if p < 1e-4:
         return "p < 0.0001"
     return f"p = {p:.2f}" if p >= 0.1 else f"p = {p:.2g}"

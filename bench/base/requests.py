@@ -1,4 +1,4 @@
-"""What a request is: a frozen dataclass whose fields are the options of a command and the parameters of a call.
+"""Requests: frozen dataclasses whose fields are the options of a command and the parameters of a call.
 
     @dataclass(frozen=True)
     class Confirm:
@@ -26,7 +26,7 @@ ESTIMATORS_IN_A_BUDGET: Final = "The estimators, in a budget."
 
 @dataclass(frozen=True)
 class Option:
-    """What a field of a request is to its user: a line of help, and how it is typed.
+    """The user interface of a field of a request: a line of help, and how it is typed.
 
     `flags` are "--name" by default, of a flag that is on "--name/--no-name"; an `argument` has none. `completes`
     names what completes it ("bench_files", …; `bench.cli.completing`), `least` and `most` limit a number.

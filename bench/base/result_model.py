@@ -1,4 +1,4 @@
-"""What every result of a command is: a typed model, of which JSON and JSON schema are made.
+"""Results of commands: typed models, from which JSON and JSON schema are made.
 
     class Line(ResultModel):
         \"\"\"A straight line through points.\"\"\"
@@ -50,12 +50,12 @@ class ResultModel(BaseModel):
 
     @classmethod
     def from_object(cls, computed: object, **others: Any) -> Self:
-        """Return the model of what was computed: `others`, and its attributes that go by the names of members."""
+        """Return the model from `others` and from the attributes of an object named like members."""
         names = [name for name in cls.model_fields if name not in others and hasattr(computed, name)]
         return cls(**{name: getattr(computed, name) for name in names}, **others)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the members as JSON has them, without those that nobody set."""
+        """Return the members as values for JSON, without optional members that were not set."""
         return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
     @classmethod

@@ -19,7 +19,7 @@ WIDTH: Final = 120
 
 
 class Screen(Console):
-    """A console that shows what is in a text and does not obey it: an escape in a name moves no cursor."""
+    """A console that shows control characters in a text as escapes instead of obeying them."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
         """Yield what is written, with escapes for characters that would act; the console's own codes stay."""
@@ -28,7 +28,7 @@ class Screen(Console):
 
 
 class _Rows(Table):
-    """A table whose columns are as wide as what is shown in them."""
+    """A table whose columns are as wide as their visible text."""
 
     def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
         """Add a row of cells."""

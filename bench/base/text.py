@@ -43,7 +43,7 @@ def shortened(text: str) -> str:
 
 
 def bounded(text: str) -> str:
-    """Return a message whose words and lines a person can read: what is longer by far is cut."""
+    """Return a message with far too long words and lines cut, so that a person can read it."""
     text = _ENDLESS.sub(lambda word: shortened(word[0]), text)
     return "\n".join(line if len(line) <= _LINE else f"{line[:_LINE]}…" for line in text.split("\n"))
 
@@ -72,7 +72,7 @@ _SECONDS: Final = ((3600.0, "h"), (60.0, "min"), (1.0, "s"))
 
 
 def repeated(words: Iterable[str]) -> list[str]:
-    """Return the words that stand more than once, in the order of their first place."""
+    """Return the words that occur more than once, in the order of their first occurrence."""
     return [word for word, times in Counter(words).items() if times > 1]
 
 

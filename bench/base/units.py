@@ -141,7 +141,7 @@ def number_and_unit(text: str) -> tuple[float, str] | None:
 
 @lru_cache(maxsize=4096)
 def _parsed(text: str, kind: QuantityKind) -> float:
-    """Return the value of a text; a long procedure has the same few again and again."""
+    """Return the value of a text, cached because a long procedure repeats the same few."""
     read = number_and_unit(text)
     if read is None:
         raise ValueError(f"{kind.expected}, got '{shortened(text)}'")

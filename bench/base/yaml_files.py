@@ -1,4 +1,4 @@
-"""YAML that people write: read without tags, and its mistakes told with line and remedy."""
+"""YAML files written by people: read without tags, their mistakes reported with line and remedy."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ from bench.base.text import QUOTED, shortened
 # --- YAML text --------------------------------------------------------------------------------------
 
 Place = tuple[str | int, ...]
-"""Where in a file: keys and positions in lists (from 0), such as ("steps", 0, "turn")."""
+"""A place in a file: keys and positions in lists (from 0), such as ("steps", 0, "turn")."""
 
 MOST_TOLD: Final = 200
-"""Mistakes of one file that are told; mending those shows the rest."""
+"""The most mistakes that are reported of one file; the rest are reported once these are corrected."""
 
 _EXPECTED: Final = {
     "int_parsing": "a whole number",
@@ -177,7 +177,7 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 MOST_DEEP: Final = 100
-"""Lists and mappings in each other; a procedure of ours has about twenty."""
+"""The deepest nesting of lists and mappings; a procedure of ours has about twenty levels."""
 
 _PLAIN_TAGS: Final = frozenset(
     f"tag:yaml.org,2002:{name}"
@@ -185,19 +185,19 @@ _PLAIN_TAGS: Final = frozenset(
 )
 _NULL: Final = "tag:yaml.org,2002:null"
 _NULLS: Final = frozenset({"", "~", "null", "Null", "NULL"})
-"""What stands for nothing where it is written without quotes."""
+"""Unquoted words that mean an empty value (None)."""
 
 _Parser: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""In C where it is there."""
+"""The parser, the one in C where it is available."""
 
 
 class TooDeep(yaml.MarkedYAMLError):
-    """Lists and mappings stand too deep in each other."""
+    """Lists and mappings are nested too deep."""
 
 
 @dataclass
 class Written:
-    """What a text says: `data` of mappings, lists and texts (None for nothing), the line of every place.
+    """A YAML text as read: `data` of mappings, lists and texts (None for nothing), the line of every place.
 
     `slips` are what YAML allows and we do not, each with its line, its place and a sentence.
     """
@@ -223,7 +223,7 @@ def read_yaml_with_lines(text: str) -> Written:
 
 
 class _Slipped(Exception):
-    """There are slips, which are told with lines."""
+    """A text has slips: it is read again to report them with lines."""
 
 
 class _Reader:
@@ -255,7 +255,7 @@ class _Reader:
         return data
 
     def _value(self, event: Any, place: Place, deep: int) -> Any:
-        """Return what begins with an event."""
+        """Return the value (scalar, list or mapping) that begins with an event."""
         if deep >= MOST_DEEP:
             raise _too_deep(event)
         if event.anchor is not None:
@@ -309,7 +309,7 @@ class _Reader:
         return mapping
 
     def _pass_over(self, event: Any, deep: int) -> None:
-        """Leave out what begins with an event, but for its anchors."""
+        """Skip the value that begins with an event, except for its anchors."""
         open_ones = 0
         while True:
             if deep + open_ones >= MOST_DEEP:
@@ -322,7 +322,7 @@ class _Reader:
             event = self._next()
 
     def _anchor(self, event: Any) -> None:
-        """Keep where an anchor stands; refuse a second one of its name, and an alias for none."""
+        """Record an anchor. Raises `ComposerError` for a duplicate, or for an alias without an anchor."""
         first, here = self._anchors.get(event.anchor), event.start_mark
         if isinstance(event, AliasEvent):
             if first is None:
@@ -353,7 +353,7 @@ def _too_deep(event: Any) -> TooDeep:
 
 
 _UNTOLD: Final = (None, "!")
-"""Tags that say nothing."""
+"""Tags without an effect, which are accepted."""
 
 
 # --- files with a model -----------------------------------------------------------------------------
@@ -549,7 +549,7 @@ def _told(mistakes: list[FileMistake]) -> list[FileMistake]:
 
 
 def part(data: Any, *place: str | int) -> Any:
-    """Return what stands at a place below `data`, or None where there is nothing (for cross checks)."""
+    """Return the part at a place below `data`, or None where there is none (for cross checks)."""
     for step in place:
         entries = dict(enumerate(data)) if isinstance(data, list) else data
         if not isinstance(entries, dict) or step not in entries:

@@ -1,4 +1,4 @@
-"""What a batch does with each run, the columns of its table, the extras that it needs."""
+"""The job that a batch does with each run, and the columns of the table that results."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ DIAGNOSE_FILE: Final = "diagnose.json"
 class Job:
     """One command with its options, for any number of runs; files are named by absolute paths.
 
-    `command` is calibrate, diagnose or report; `pages` is the folder of the pages that report writes. All else is
-    as the options of these commands have it.
+    `command` is calibrate, diagnose or report; `pages` is the folder of the pages that report writes. The
+    other fields are the options of these commands.
     """
 
     command: str
@@ -58,16 +58,16 @@ class Job:
     pages: str = ""
 
     def request(self, run: str) -> Request:
-        """Return what an analysis of a run is made from."""
+        """Return the request to analyse the run in the folder `run`."""
         model = None if self.model is None else Path(self.model)
         return Request([run], Path(run).parent, self.bench, model, self.g_m_s2, None, self.skip_bad_rows)
 
     def asked(self) -> VerdictOptions:
-        """Return how verdicts are to be found in place of what each run says."""
+        """Return the verdict options that replace those recorded in each run."""
         return VerdictOptions(self.limit_g, self.rule, self.guard_band, self.population)
 
     def checked(self) -> Job:
-        """Return it with paths that hold anywhere. Raises as the commands do for what no run could be asked."""
+        """Return the job with absolute paths. Raises as the commands do for options that suit no run."""
         estimator = find_estimator(self.estimator).name
         check_gravity(self.g_m_s2)
         self.asked().check()
@@ -83,12 +83,12 @@ class Job:
         return Job(**{**given, "estimator": estimator, "bench": bench, "model": model, "effects": effects})
 
     def differing(self) -> dict[str, Any]:
-        """Return the options that are not as they are when nothing is said."""
+        """Return the options that differ from their defaults."""
         usual = Job(self.command, pages=self.pages).to_json()
         return {name: value for name, value in self.to_json().items() if value != usual[name]}
 
     def to_json(self) -> dict[str, Any]:
-        """Return what was asked for, with the SHA-256 of each file: as the batch keeps and compares it."""
+        """Return the job as the batch stores and compares it: its options and the SHA-256 of each file."""
         given: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
         given["population"] = None if self.population is None else list(self.population)
         given["effects"] = [_named(file) for file in self.effects]
@@ -117,9 +117,9 @@ def _named(file: str) -> dict[str, str]:
 
 @cache
 def program() -> Mapping[str, str]:
-    """Return by which program results are made: versions, and the SHA-256 of its own code.
+    """Return the identity of the program that makes the results: versions and the SHA-256 of its own code.
 
-    A checkout changes under the same version; the code tells.
+    The hash is needed because the code of a checkout can change while its version stays the same.
     """
     package = Path(__file__).parents[1]
     files = sorted(package.rglob("*.py"))
@@ -168,17 +168,17 @@ COLUMNS: Final = {
     REPORT: {**_COMMON, **_CALIBRATION, "page": TEXT, **_AT_THE_END},
     DIAGNOSE: {**_COMMON, **_DIAGNOSIS, **_AT_THE_END},
 }
-"""Of each command: every column with what it holds."""
+"""For each command, all columns of its table with the meaning of each."""
 
 NOT_IN_TEXT: Final = ("covariance", "result", "fingerprint")
-"""Columns that a table of text leaves out."""
+"""Columns that the text form of the table omits."""
 
 Row = dict[str, Any]
-"""What one run gives: a value for columns of its command; those that it lacks are unknown."""
+"""The row of one run: values by column of its command. A missing column means an unknown value."""
 
 
 def arrow_schema(command: str) -> Any:
-    """Return the columns as the columnar files have them."""
+    """Return the Arrow schema of the table of a command."""
     import pyarrow as arrow
 
     kinds = {

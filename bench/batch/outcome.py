@@ -1,4 +1,4 @@
-"""A batch carried out: its whole table, which verdicts would be different, how far coefficients went."""
+"""The outcome of a batch: its whole table, the verdicts that changed, and the shifts of coefficients."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DIFFERENT: Final = "verdicts.csv"
 FAILED: Final = "failed.csv"
 SUMMARY: Final = "summary.json"
 LISTED: Final = 1000
-"""So many runs at most are listed in the summary; the tables have all."""
+"""The summary lists at most this many runs; the tables contain all of them."""
 _MEMORY: Final = "512MB"
 _PARTS_OF_THE_LISTED: Final = (
     "CREATE VIEW changes AS SELECT parts.* FROM read_parquet($parts) AS parts "
@@ -31,9 +31,9 @@ _PARTS_OF_THE_LISTED: Final = (
 
 
 def carried_out(request: Batch, tell: Callable[[Iterable[str]], None]) -> BatchResult:
-    """Compute the runs of a batch that are not done yet; return what came of all. `tell` is given notes.
+    """Compute the pending runs of a batch; return the result for all its runs. `tell` receives notes.
 
-    Raises `Refused` for what no run could be asked, and where a Ctrl-C ended it.
+    Raises `Refused` for options that suit no run, and when Ctrl-C ended the batch.
     """
     job = job_of(request).checked()
     listed = list_runs(request.over, runs_folder(request.runs), request.catalogue)
@@ -54,7 +54,7 @@ def carried_out(request: Batch, tell: Callable[[Iterable[str]], None]) -> BatchR
 
 
 def _computing(job: Job, request: Batch, pending: int) -> Computed:
-    """Return what computes: the workers of a cluster, or as many processes as there are cores."""
+    """Return the function that computes rows: with the workers of a cluster, or with local processes."""
     address = request.scheduler
     if address is not None:
         return lambda runs: processes.by_scheduler(job, runs, address)
@@ -68,7 +68,7 @@ def _cores() -> int:
 
 
 def outcome_in(folder: Path) -> BatchResult:
-    """Return what has come of the batch in a folder. Raises `Refused` where there is none."""
+    """Return the result so far of the batch in a folder. Raises `Refused` where there is no batch."""
     store = Store(folder)
     store.noted()
     with store:
@@ -76,7 +76,7 @@ def outcome_in(folder: Path) -> BatchResult:
 
 
 def conclude(store: Store) -> BatchResult:
-    """Write the tables and the summary of what is done, and return it. Raises `OSError`."""
+    """Write the tables and the summary of the runs done so far; return the result. Raises `OSError`."""
     noted = store.noted()
     with asked_of(store.folder) as ask:
         _write_tables(ask, store.folder, noted["command"])
@@ -86,12 +86,12 @@ def conclude(store: Store) -> BatchResult:
 
 
 Ask = Any
-"""A connection to DuckDB that knows the view `changes`: the rows of the runs listed, each once."""
+"""A DuckDB connection with the view `changes`: one row for each listed run."""
 
 
 @contextmanager
 def asked_of(folder: Path) -> Iterator[Ask]:
-    """Let questions be asked about the rows of a batch, as far as it is done; large ones use the disk."""
+    """Yield a DuckDB connection to the rows that a batch has so far; large queries use the disk."""
     import duckdb
 
     with duckdb.connect(":memory:", config={"memory_limit": _MEMORY, "threads": 1}) as ask:
@@ -101,7 +101,7 @@ def asked_of(folder: Path) -> Iterator[Ask]:
 
 
 def _literal(path: Path) -> str:
-    """Return a path as SQL has a text: a view takes no parameters."""
+    """Return a path as an SQL text literal, because a view takes no parameters."""
     return "'" + str(path).replace("'", "''") + "'"
 
 

@@ -1,4 +1,4 @@
-"""Runs computed side by side: by processes here, one that dies begins its run again; by workers of a cluster."""
+"""Runs computed in parallel, by local processes (which are replaced if they die) or by a cluster."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from bench.batch.job import DIAGNOSE, Job, Row, program
 from bench.services.errors import Refused
 
 AHEAD: Final = 2
-"""Runs that a process has at hand: it need not wait for the next one."""
+"""Number of runs queued at each process, so that it need not wait for the next one."""
 TRIES: Final = 3
-"""A run at which so many processes have died is listed as failed; so many that never came up end the batch."""
+"""After this many process deaths a run is listed as failed. Repeated failures to start end the batch."""
 RECYCLED: Final = 2000
 RECYCLED_DIAGNOSES: Final = 100
-"""A process ends after so many runs, and another takes its place: what libraries keep is given back."""
+"""A process is replaced after this many runs, to release the memory that libraries keep."""
 _PATIENCE_S: Final = 5.0
 
 
 def by_processes(job: Job, runs: Iterator[str], count: int, recycled: int | None = None) -> Iterator[Row]:
     """Yield the rows of runs as they are done, in any order, computed by `count` processes.
 
-    Only so many runs as these have at hand are taken from `runs`. Raises `Refused` where no process comes up.
+    `runs` is consumed only as the processes need it. Raises `Refused` when no process can be started.
     """
     usual = RECYCLED_DIAGNOSES if job.command == DIAGNOSE else RECYCLED
     pool = _Pool(job, runs, count, recycled or usual)
@@ -45,7 +45,7 @@ def by_processes(job: Job, runs: Iterator[str], count: int, recycled: int | None
 
 @dataclass(eq=False)
 class _Worker:
-    """A process, the wire to it, and the runs that it has at hand, the first of them in work."""
+    """A worker process: its connection, and the runs queued at it, of which the first is in work."""
 
     process: Any
     wire: Connection
@@ -73,7 +73,7 @@ class _Pool:
                     yield from self._heard(worker)
 
     def end(self) -> None:
-        """End all processes, whatever they do."""
+        """End all processes, even those that are computing."""
         for worker in self._workers:
             worker.wire.close()
             worker.process.kill()
@@ -83,7 +83,7 @@ class _Pool:
     # --- giving -------------------------------------------------------------------------------------
 
     def _filled(self) -> bool:
-        """Give runs to those that have room, begin as many processes as there is work for; False at the end."""
+        """Hand runs to idle processes and start processes as needed. Return False when all is done."""
         for worker in self._workers:
             while worker.ready and len(worker.at_hand) < AHEAD and worker.given < self._recycled:
                 run = self._take()
@@ -110,7 +110,7 @@ class _Pool:
         return self._next.popleft() if self._next else next(self._runs, None)
 
     def _there_is_more(self, count: int) -> bool:
-        """Whether so many runs are left to be given."""
+        """Whether at least `count` runs are left to hand out."""
         while len(self._again) + len(self._next) < count:
             run = next(self._runs, None)
             if run is None:
@@ -135,7 +135,7 @@ class _Pool:
             its.close()
 
     def _came_to_nothing(self, how: str) -> None:
-        """Count a process that never was ready. Raises `Refused` where none comes up."""
+        """Count a process that died before it was ready. Raises `Refused` when this happens too often."""
         self._stillborn += 1
         if self._stillborn >= TRIES * self._count:
             raise Refused(f"the processes that compute end before they begin ({how})")
@@ -147,7 +147,7 @@ class _Pool:
     # --- hearing ------------------------------------------------------------------------------------
 
     def _heard(self, worker: _Worker) -> Iterator[Row]:
-        """Yield the rows that a process has sent; where it has died, see to what it had at hand."""
+        """Yield the rows that a process has sent; if it has died, reassign the runs that it had queued."""
         try:
             while worker.wire.poll():
                 row = worker.wire.recv()
@@ -181,7 +181,7 @@ class _Pool:
 
 
 def died_at(run: str, why: str) -> Row:
-    """Return the row of a run at which processes die."""
+    """Return the row of a run that repeatedly killed its process; `why` is the reason stated."""
     told = f"no process gets through this run: {why}; try it alone"
     return {"run": run, "name": Path(run).name, "failed": told}
 
@@ -193,7 +193,7 @@ def _how(code: int | None) -> str:
 
 
 def _context() -> Any:
-    """Return how processes are begun: as copies of one that has imported everything, where the system can."""
+    """Return the multiprocessing context: a fork server with everything imported, where available."""
     for name in THREADS:
         os.environ[name] = "1"  # side by side, each computes on one core
     if "forkserver" in multiprocessing.get_all_start_methods():
@@ -207,7 +207,7 @@ def _context() -> Any:
 
 
 def _work(job: Job, wire: Connection) -> None:
-    """Compute runs as they come, until none can come any more."""
+    """Compute the runs received over `wire` until it is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for the program that gives the work
     Thread(target=_end_with_parent, daemon=True).start()
     from bench.batch.work import worked
@@ -222,7 +222,7 @@ def _work(job: Job, wire: Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """End with the program that gives the work, though a run be in work: nobody waits for its row."""
+    """End this process when its parent ends, even during a run: nobody would read the row."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -234,14 +234,14 @@ def _end_with_parent() -> None:
 _SCHEDULER_PATIENCE: Final = "10s"
 _PATIENCE_WITH_WORKERS_S: Final = 60.0
 _LOOKED_AGAIN: Final = 100
-"""After so many rows is asked how many workers there are."""
+"""The number of workers is queried again after this many rows."""
 
 
 def by_scheduler(job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
     """Yield the rows of runs as they are done, in any order, computed by the workers of a scheduler.
 
-    Paths of runs hold at the workers as they do here. Only so many runs as the workers have at hand are taken from
-    `runs`. Raises `Refused` where no scheduler answers, where a worker has another program, or where it goes away.
+    The paths of runs must be valid at the workers, too. `runs` is consumed only as workers need it. Raises
+    `Refused` where no scheduler answers or it disconnects, and where a worker has a different program.
     """
     dask: Any = import_module("distributed")
 
@@ -308,7 +308,7 @@ def _row(dask: Any, future: Any, run: str, address: str) -> Row:
 
 
 def of_program(asked: dict[str, str], job: Job, run: str) -> Row:
-    """Return the row of a run, as `worked`. Raises `RuntimeError` where this worker has another program."""
+    """Return the row of a run, as `worked` does. Raises `RuntimeError` if this worker's program differs."""
     mine = dict(program())
     other = [
         f"{name} is {mine.get(name)}, here {asked[name]}" for name in asked if mine.get(name) != asked[name]

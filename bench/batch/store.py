@@ -1,4 +1,4 @@
-"""A batch on disk: the job, its runs, parts of its table, each whole or absent."""
+"""A batch on disk: the job, its runs, and the parts of its table. Each part is complete or absent."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _READ: Final = (
 
 @dataclass(frozen=True)
 class Listed:
-    """Runs (absolute paths, sorted, each once), and what was found where they lie and is none."""
+    """The runs of a batch (absolute paths, sorted, unique), and the paths found that are no runs."""
 
     runs: tuple[str, ...]
     no_runs: tuple[str, ...] = ()
@@ -49,8 +49,9 @@ class Listed:
 def list_runs(over: Sequence[str], runs: Path, catalogue: str | None = None) -> Listed:
     """Return the runs that `over` names: words of a query (`unit=Q-17`, all of which hold), or patterns.
 
-    A pattern is that of a shell (`*`, `?`, `[…]`, `**` for folders in folders), in the working folder or else in
-    the folder `runs`; a folder that is no run stands for the runs in it. Raises `Refused` where nothing is found.
+    Patterns are shell patterns (`*`, `?`, `[…]`, `**` for nested folders), matched in the working folder or
+    else in the folder `runs`. A folder that is no run represents the runs in it. Raises `Refused` if no run
+    is found.
     """
     words = [word for given in over for word in _words(given)]
     asked = [word for word in words if is_question(word)]
@@ -67,18 +68,18 @@ def list_runs(over: Sequence[str], runs: Path, catalogue: str | None = None) -> 
 
 
 def _words(given: str) -> list[str]:
-    """Return the words of a query in one text, where each is one; else the text, which may hold spaces."""
+    """Return the words of a text if all are query words; otherwise the text as one pattern, with spaces."""
     words = given.split()
     return words if len(words) > 1 and all(map(is_question, words)) else [given]
 
 
 def is_question(word: str) -> bool:
-    """Whether a word is of a query (`unit=Q-17`) and no pattern of paths."""
+    """Whether a word belongs to a query (`unit=Q-17`) and is no pattern of paths."""
     return _QUESTION.match(word) is not None and not Path(word).exists()
 
 
 def fingerprint(run: str) -> str:
-    """Return by what a run is known to be as it was: size and time of each file that a row is made from."""
+    """Return a fingerprint of a run: size and modification time of each file that its row depends on."""
     told = []
     for name in _READ:
         try:
@@ -120,7 +121,7 @@ def _matches(pattern: str, runs: Path) -> list[Path]:
 
 
 def _globbed(pattern: str) -> list[str]:
-    """Return the paths that a pattern names, which may begin at the root, as `Path.glob` takes none."""
+    """Return the paths that match a pattern. Unlike for `Path.glob`, the pattern may be absolute."""
     return glob.glob(pattern, recursive=True)  # noqa: PTH207
 
 
@@ -138,13 +139,13 @@ RUNS: Final = "runs.parquet"
 _LOCK: Final = ".lock"
 _HALF: Final = ".writing"
 _BEFORE: Final = {_LOCK, PARTS, BATCH + _HALF}
-"""What a program that is killed as it begins leaves."""
+"""Files that remain when a program is killed while it creates a batch."""
 _OPTIONS: Final = {"g_m_s2": "g", "limit_g": "limit"}
 
 
 @dataclass(frozen=True)
 class BatchProgress:
-    """How far a batch is: `pending` runs with their fingerprints, how many are `done`; `notes` for a person."""
+    """Progress of a batch: `pending` runs with fingerprints, the number `done`, `notes` for the user."""
 
     pending: Mapping[str, str]
     done: int
@@ -159,7 +160,7 @@ class Store:
         self._lock = FileLock(folder / _LOCK, timeout=0)
 
     def __enter__(self) -> Store:
-        """Take the folder. Raises `Refused` where another program has it, or where it is no folder of a batch."""
+        """Lock the folder. Raises `Refused` if another program has it or it is no folder of a batch."""
         if self.folder.exists() and not self.folder.is_dir():
             raise Refused(f"--out {self.folder}: a file of that name is there; give a folder")
         there = self.folder.is_dir() and any(one.name not in _BEFORE for one in self.folder.iterdir())
@@ -179,15 +180,15 @@ class Store:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Let the folder go."""
+        """Release the lock on the folder."""
         self._lock.release()
 
     # --- what was asked -----------------------------------------------------------------------------
 
     def begin(self, job: Job, over: Sequence[str], runs: Sequence[str]) -> BatchProgress:
-        """Note what is asked and of which runs; return what is left to do.
+        """Record the job and its runs; return the progress, with the runs left to do.
 
-        Raises `Refused` with all that differs, where the folder is of another command or program.
+        Raises `Refused` with all differences if the folder belongs to another job or program.
         """
         asked = {
             "command": job.command,
@@ -222,7 +223,7 @@ class Store:
             )
 
     def noted(self) -> dict[str, Any]:
-        """Return what the batch was asked. Raises `Refused` where that cannot be read."""
+        """Return the stored job of the batch. Raises `Refused` where its file cannot be read."""
         file = self.folder / BATCH
         try:
             noted: dict[str, Any] = from_text(read_regular(file))
@@ -270,11 +271,11 @@ class Store:
         return done
 
     def parts(self) -> list[Path]:
-        """Return the parts there are, in the order in which they were written."""
+        """Return the files of the parts in the order in which they were written."""
         return sorted((self.folder / PARTS).glob("part-*.parquet"))
 
     def write_part(self, command: str, rows: Iterable[Row]) -> None:
-        """Write rows as a part that is there whole or not at all."""
+        """Write rows as a new part, atomically."""
         import pyarrow
 
         parts = self.parts()
@@ -323,17 +324,17 @@ def _write_synced(file: Path, content: Any) -> None:
 
 
 PART_ROWS: Final = 256
-"""A part has so many rows at most: what a program that is killed may lose, and memory holds."""
+"""Largest number of rows in a part: it bounds the memory used, and the loss if the program is killed."""
 PART_S: Final = 10.0
-"""A part is written at the first row that comes so long after the last part."""
+"""A part is written with the first row that arrives this long (s) after the previous part."""
 
 Computed = Callable[[Iterator[str]], Iterator[Row]]
-"""Gives the rows of runs in any order: by processes, or by a cluster."""
+"""A function that yields the rows of runs in any order, computed by processes or by a cluster."""
 
 
 @dataclass
 class PartWriter:
-    """Rows that belong to no part yet, and where parts are written."""
+    """A buffer of rows that are not in a part yet, and the store to which parts are written."""
 
     store: Store
     command: str
@@ -342,7 +343,7 @@ class PartWriter:
     _since_s: float = 0.0
 
     def carry_out(self, progress: BatchProgress, computed: Computed) -> None:
-        """Compute what is pending; unless the program is killed, each row that came is in a part at the end."""
+        """Compute the pending runs and write every row received to a part, unless the program is killed."""
         self._since_s = self.clock.now_s()
         rows = computed(iter(progress.pending))
         try:

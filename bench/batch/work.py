@@ -1,4 +1,4 @@
-"""The unit of work: the path of a run and a job in, a row out. It writes nothing into the folder of the run."""
+"""The unit of work: it turns a run and a job into a row. It writes nothing into the run's folder."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _ONE_AT_A_TIME: Final = Lock()
 
 
 def worked(job: Job, run: str) -> Row:
-    """Return what a run gives: its row, or one with the sentence of why there is none (`failed`)."""
+    """Return the row of a run; if it cannot be analysed, the column `failed` states the reason."""
     row: Row = {"run": run, "name": Path(run).name}
     with _ONE_AT_A_TIME:
         try:
@@ -104,7 +104,7 @@ def _calibrated(job: Job, source: Source) -> Row:
 
 
 def _written(job: Job, source: Source, page: str) -> Path:
-    """Write the page of a run; runs of several folders may share a name, and folders theirs."""
+    """Write the page of a run; return its path. Runs in different folders may have the same name."""
     folder = Path(source.name)
     place = f"{folder.parent.name}-{sha256(str(folder.parent).encode())[:6]}"
     file = Path(job.pages) / place / f"{folder.name}.html"
@@ -187,7 +187,7 @@ def _diagnosis(source: Source) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class CalibrationValues:
-    """A calibration as a row needs it: values and u (12,) in unit/g and unit; p of lack of fit, None unjudged."""
+    """The calibration in a row: values and u (12,) in unit/g and unit; p of lack of fit, None if untested."""
 
     estimator: str
     model: str
@@ -209,7 +209,7 @@ class CalibrationValues:
 
     @classmethod
     def of_result(cls, result: CalibrationResult) -> CalibrationValues:
-        """Return what was found just now."""
+        """Return the values of a result computed in this program."""
         own = result.calibration
         p = own.lack_of_fit.p
         return cls(
@@ -219,7 +219,7 @@ class CalibrationValues:
 
     @classmethod
     def of_file(cls, told: Mapping[str, Any]) -> CalibrationValues:
-        """Return what a file of results tells. Raises what a dictionary that is none raises."""
+        """Return the values in a results file. Raises `KeyError`, `TypeError` … for a malformed file."""
         sizes = [told["coefficients"][name] for name in COEFFICIENTS]
         p = told["residual"]["p"]
         return cls(
@@ -238,7 +238,7 @@ class CalibrationValues:
 
 @dataclass(frozen=True)
 class VerdictValues:
-    """A verdict: whether it is accepted, the statement, and the point with the largest |Δg| (g) with its u."""
+    """A verdict: acceptance, the statement, and the point with the largest |Δg| (g) and its u."""
 
     passed: bool
     statement: str
@@ -256,7 +256,7 @@ class VerdictValues:
 
     @classmethod
     def of_result(cls, result: VerificationResult) -> VerdictValues:
-        """Return the verdict found just now."""
+        """Return the values of a verdict computed in this program."""
         found = result.verification
         return cls._of(
             [(point.delta_g, point.u) for point in found.points],
@@ -268,7 +268,7 @@ class VerdictValues:
 
     @classmethod
     def of_file(cls, told: Mapping[str, Any]) -> VerdictValues:
-        """Return what a file of results tells; earlier versions said no statement."""
+        """Return the verdict in a results file; files of earlier versions contain no statement."""
         passed = bool(told["passed"])
         return cls._of(
             [(float(point["delta_g"]), float(point["u"])) for point in told["points"]],
@@ -288,7 +288,7 @@ class VerdictValues:
 
 @dataclass(frozen=True)
 class Named:
-    """A diagnosis: its verdict, the names of what was found, and the gap (reduced chi-square) before and after."""
+    """A diagnosis: verdict, names of the effects found, and the gap (reduced chi-square) before and after."""
 
     verdict: str
     names: str
@@ -297,7 +297,7 @@ class Named:
 
     @classmethod
     def of_file(cls, told: Mapping[str, Any]) -> Named:
-        """Return what a result tells, of today or of a file."""
+        """Return the diagnosis in a result, computed now or read from a file."""
         gap = told.get("gap") or {}
         names = [
             " or ".join(map(str, (effect["name"], *effect.get("cannot_tell_from", ()))))
@@ -309,7 +309,7 @@ class Named:
 
 @dataclass(frozen=True)
 class Stored:
-    """What a run's folder has of each; None where there is nothing that can be read (`notes` say why)."""
+    """Earlier results in a run's folder; None for each that is missing or unreadable (`notes` say why)."""
 
     calibration: CalibrationValues | None = None
     verdict: VerdictValues | None = None
@@ -318,7 +318,7 @@ class Stored:
 
 
 def stored_calibration(folder: Path) -> Stored:
-    """Return coefficients and verdict that a run's folder has."""
+    """Return the earlier coefficients and verdict in a run's folder."""
     notes: list[str] = []
     found = _read(folder / CALIBRATE_FILE, CalibrationValues.of_file, notes)
     judged = _read(folder / VERIFY_FILE, VerdictValues.of_file, notes)
@@ -326,7 +326,7 @@ def stored_calibration(folder: Path) -> Stored:
 
 
 def stored_diagnosis(folder: Path) -> Stored:
-    """Return the diagnosis that a run's folder has."""
+    """Return the earlier diagnosis in a run's folder."""
     notes: list[str] = []
     return Stored(diagnosis=_read(folder / DIAGNOSE_FILE, Named.of_file, notes), notes=notes)
 
@@ -344,11 +344,11 @@ def _read(file: Path, understood: Any, notes: list[str]) -> Any:
 
 
 def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
-    """Return the columns of what was, what is and what changed; without a result before, of what is alone.
+    """Return the columns of the earlier values, the new values and their changes; only the new if none was.
 
-    Readings are the same, so that the change is no deviation by chance: it is in units of the u that was stated,
-    of what had none (fixed by convention) in units of the u that it has now. Where neither has one it is zero
-    or unknown, and results in different units of the signals are not compared.
+    Both use the same readings, so a change is no random deviation. It is stated in units of the earlier u, or
+    of the new u where the earlier coefficient had none (fixed by convention). Where neither has a u,
+    the change is zero or unknown. Results in different units of the signals are not compared.
     """
     row: Row = {**_columns(now, ""), **({} if before is None else _columns(before, "_stored"))}
     if before is None:
@@ -372,7 +372,7 @@ def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
 
 
 def change_in_u(before: CalibrationValues, now: CalibrationValues) -> Floats:
-    """Return how far each coefficient went, (12,), in units of its u; NaN where it went and has none."""
+    """Return the change of each coefficient (12,) in units of its u; NaN if it changed and has no u."""
     moved = now.values - before.values
     unit = np.where(before.u > 0, before.u, now.u)
     with np.errstate(divide="ignore", invalid="ignore"):

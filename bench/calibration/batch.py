@@ -1,7 +1,7 @@
 """Many units measured at the same settings, calibrated at once: the default estimator, vectorised.
 
 The steps are those of `gls.fit` for a model without effects; only the derivatives by the stand's angles are
-taken at zero angles for all units, which changes the way to the solution and not the solution.
+evaluated at zero angles for all units. This changes the iterations, but not the solution.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from bench.model.geometry import Block, linear_columns, specific_force_on_platfo
 from bench.stats.repeats_likelihood import LEAST_DOF, believed_sizes
 
 CHUNK: Final = 200
-"""Units at a time: their matrices stay in the processor's cache."""
+"""Number of units calibrated in one batch, so that their matrices stay in the processor's cache."""
 STEPS: Final = 2
-"""Steps from least squares: the second is already below a thousandth of u."""
+"""Number of iterations from least squares: the second already changes less than a thousandth of u."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Calibrations of many units.
+    """The results of the calibrations of many units.
 
     `coefficients` (units, 12) and `covariance` (units, 12, 12) in the order of `COEFFICIENTS`, per local g;
     `stand` (units, q) the estimates of the stand's angles, rad, named by `stand_names`; `reading` (units, 3) of
@@ -65,8 +65,8 @@ def calibrate_batch(
 
     `stand_u` holds the standard uncertainties of the stand's fixed angles by the names in `STAND_ANGLES`, rad;
     every unit has angles of its own. The sizes of the noise are estimated for each unit from its repeats
-    unless given; `known` is what other runs told of stand and noise.
-    Raises `CalibrationError` for a model with effects, signals that are no numbers or are alike,
+    unless given; `known` is the knowledge of stand and noise from other runs.
+    Raises `CalibrationError` for a model with effects, for signals that are not numbers or are all equal,
     readings that do not determine the coefficients, and too few repeats.
     """
     if model.effects:
@@ -103,10 +103,11 @@ def calibrate_batch(
 
 @dataclass(frozen=True)
 class _Shared:
-    """What all units share: the geometry at a stand without errors, and the groups of repeats.
+    """The data that all units share: the geometry at a stand without errors, and the groups of repeats.
 
     `force` (n, 3), `by_angle` (n, 3) its derivative by the head's angle, `by_stand` (n, 3, q) by the stand's;
-    `means` (groups, n) makes means of repeats, `groups` (n,), `freedom` (groups,) with two readings or more.
+    `means` (groups, n) averages the repeats, `groups` (n,) numbers the group of each reading, and `freedom`
+    (groups,) is the number of readings of each group less one.
     """
 
     problem: Problem
@@ -170,7 +171,7 @@ def _calibrate(
 
 
 def _refuse_singular(K: Floats) -> None:
-    """Refuse the unit with the most singular K, if it is one that a fit to it alone refuses."""
+    """Raise `CalibrationError` for the unit with the most singular K, if `refuse_singular` does."""
     size = np.linalg.svd(unit_vectors(K)[0], compute_uv=False)[:, -1]
     mistakes.refuse_singular(Block(K[int(np.argmin(size))], np.zeros(3)))
 
@@ -178,9 +179,10 @@ def _refuse_singular(K: Floats) -> None:
 def _sizes(
     shared: _Shared, left: Floats, slope: Floats, noise: Noise | None, floor: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the sizes of the noise, (units, 3) and (units,), from the scatter of repeats or as given.
+    """Return the sizes of the noise from the scatter of repeats, or as given.
 
-    With the degrees of freedom of those of the channels, (units, 3).
+    They are those of the channels (units, 3), of the setting (units,), and the channels' degrees of freedom
+    (units, 3).
     """
     if noise is not None:
         given = np.tile(noise.by_channel, (len(left), 1)), np.full(len(left), noise.setting_rad)
@@ -198,7 +200,7 @@ def _sizes(
 def _joined(
     known: KnownNoise, shared: _Shared, slope: Floats, reading: Floats, setting: Floats, dof: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the sizes with what other runs told of them, as one calibration alone has them."""
+    """Return the sizes combined with those known from other runs, as a single calibration does."""
     settings = int(shared.freedom.sum())
     slope2 = np.einsum("uni,uni->u", slope, slope) / slope.shape[1]
     reading, setting, dof = reading.copy(), setting.copy(), dof.copy()
@@ -217,7 +219,7 @@ def _joined(
 
 
 def _widening(dof: Floats) -> Floats:
-    """By how much sizes that are estimates enter larger, as `result.widening`."""
+    """Return the factors that widen estimated sizes of the noise, as `result.widening` does."""
     nu = np.maximum(dof, LEAST_DOF)
     return np.where(np.isinf(nu), 1.0, np.sqrt(nu / np.where(np.isinf(nu), 1.0, nu - 2.0)))
 
@@ -228,7 +230,8 @@ def _step(
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Return the change of the unknowns (units, 12 + q) and the covariance of the coefficients (units, 12, 12).
 
-    By normal equations, channels over their noise: R^-1 = I - w d d^T, w = sigma_phi^2/(1 + sigma_phi^2 |d|^2).
+    It solves the normal equations with each channel divided by its noise: R^-1 = I - w d d^T,
+    w = sigma_phi^2/(1 + sigma_phi^2 |d|^2).
     """
     units, n = left.shape[:2]
     problem = shared.problem

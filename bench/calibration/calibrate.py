@@ -33,7 +33,7 @@ from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import FREE, VERIFICATION, Readings
 
 ROUNDING: Final = 1e-9
-"""Noise below this part of the largest signal is that of computed readings, in which nothing is an outlier."""
+"""Noise below this part of the largest signal means computed readings, in which nothing is an outlier."""
 
 
 def calibrate(
@@ -54,7 +54,8 @@ def calibrate(
     """Estimate the twelve coefficients from a table of readings.
 
     `stand_u` holds the standard uncertainties of the stand's fixed angles by the names in `STAND_ANGLES`,
-    rad, `assumed_u` those that nobody stated: they are in the covariance, and not in that of the readings alone.
+    rad. `assumed_u` holds the assumed ones that nobody stated: they count in the combined covariance, but not
+    in the covariance of the readings alone.
     The sizes of the noise are estimated from the readings unless given as `noise`; where the readings leave too few
     degrees of freedom, "voltmeter_error" (in the unit of the signals) and "setting_error" (rad) in `stand_u` are
     their prior. Coefficients are per
@@ -62,7 +63,7 @@ def calibrate(
     positions join the oriented rows by |a| = 1 g unless `join_free` is false, verification points where
     `join_verification` says so, for they are the independent check. Where there are free positions alone K is
     upper triangular by convention. Without `find_shared` the noise is taken as fresh in every reading. `known` is
-    what other runs of the bench told of its stand and noise, in place of `stand_u` and beside the repeats.
+    the knowledge of stand and noise from other runs: it replaces `stand_u` and adds to the repeats.
     Raises `CalibrationError` when the readings do not determine the coefficients, or hold a mistake.
     """
     by = find_estimator(estimator)
@@ -137,7 +138,7 @@ def calibrate(
 
 
 def _left_assumed(assumed_u: Mapping[str, float], known: KnownStand | None) -> dict[str, float]:
-    """Return the angles whose sizes nobody stated and no other run told."""
+    """Return the assumed sizes of those angles that neither the bench file nor another run determines."""
     told = set() if known is None else {name for name, _ in known.keys}
     return {name: u for name, u in assumed_u.items() if name not in told}
 
@@ -165,7 +166,7 @@ def _choose(
 
 
 def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
-    """Return the rows to fit; raises `CalibrationError` where none can be, or one is not a number."""
+    """Return the rows to fit. Raises `CalibrationError` if none can be fitted, or a value is no number."""
     rows = readings.oriented()
     if len(rows) == 0:
         raise CalibrationError(
@@ -183,7 +184,7 @@ def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
 
 
 def _free_rows(chosen: FittedRows, readings: Readings) -> FreeRows | None:
-    """Return the free rows with times and temperatures as the whole table has them."""
+    """Return the rows of free positions, with their times and temperatures in the whole table."""
     if not len(chosen.free):
         return None
     whole, own = readings.conditions(), chosen.free.conditions()
@@ -207,7 +208,7 @@ def _notes_on_rows(
 
 
 def _on_levels(problem: Problem) -> tuple[str, ...]:
-    """Say which angles of the stand a level showed, and how well."""
+    """Return sentences on the stand angles that were measured with a level, with their uncertainties."""
     told = [s for s in problem.stand if s.measured]
     if not told:
         return ()
@@ -227,7 +228,9 @@ def _on_levels(problem: Problem) -> tuple[str, ...]:
 
 
 def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Block:
-    """Ordinary least squares at the nominal geometry; an ellipsoid where there are free positions alone.
+    """Return a first guess by ordinary least squares at the nominal geometry.
+
+    Free positions alone are fitted by an ellipsoid.
 
     Raises `CalibrationError` for too few orientations and for mistakes that show in such a fit.
     """
@@ -251,7 +254,7 @@ def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Bl
 def _fitted(
     problem: Problem, signal: Floats, refit: partial[gls.Fit], by: Estimator, chosen: FittedRows
 ) -> tuple[gls.Fit, tuple[Outlier, ...], tuple[str, ...]]:
-    """Fit, weigh as the estimator does, and look for outliers where it does not take their weight away."""
+    """Return the estimator's fit, the outliers, and a note on an outlier that the estimator does not drop."""
     fit = refit()
     largest = max(float(np.max(np.abs(t.signal), initial=0.0)) for t in (chosen.oriented, chosen.free))
     if fit.noise.reading < ROUNDING * largest:
@@ -270,9 +273,9 @@ def _fitted(
 
 
 def _birge(test: LackOfFit, shared: SharedErrorFit) -> float:
-    """Return by how much u widens for what the model leaves, where no component of the readings has taken it in.
+    """Return the factor that widens u for a lack of fit that no shared variance component explains.
 
-    The Birge ratio, the root of the reduced chi-square. Source: R. T. Birge, Phys. Rev. 40 (1932) 207.
+    It is the Birge ratio, the root of the reduced chi-square. Source: R. T. Birge, Phys. Rev. 40 (1932) 207.
     """
     if shared.components or not test.shown or test.dof <= 0:
         return 1.0
@@ -280,7 +283,7 @@ def _birge(test: LackOfFit, shared: SharedErrorFit) -> float:
 
 
 def _of_assumed(problem: Problem, fit: gls.Fit, assumed: Mapping[str, float], by: Estimator) -> Floats:
-    """Return the part (12, 12) of the covariance that the stand's angles of sizes nobody stated bring in."""
+    """Return the part (12, 12) of the covariance that comes from stand angles of assumed size."""
     names = [STAND_ANGLES[unknown.column] for unknown in problem.stand]
     places = [j for j, name in enumerate(names) if name in assumed]
     if not places:

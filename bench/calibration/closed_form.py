@@ -1,4 +1,4 @@
-"""The paper's closed-form estimator, equations (7)-(8), exactly as it stands in its consistent form."""
+"""The paper's closed-form estimator, equations (7)-(8), in its consistent form."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ def closed_form(signals: Floats) -> Floats:
     root2 = np.sqrt(2.0)
 
     def sine(u: Floats) -> Floats:
-        """Scale factor along x from the points where sin is not zero."""
+        """Return the scale factor along x from the points where the sine is not zero."""
         return np.asarray((u[2] - u[6] + u[1] + u[3] - u[5] - u[7]) / (2 * (1 + root2)))
 
     def cosine(u: Floats) -> Floats:
-        """Scale factor along the axis that is up at test point 1."""
+        """Return the scale factor along the axis that is up at test point 1."""
         return np.asarray((u[0] + u[8] - 2 * u[4] + root2 * (u[1] + u[7] - u[3] - u[5])) / 8)
 
     def across(u: Floats) -> Floats:
-        """Cross-axis term of the axis that is up at test point 1."""
+        """Return the cross-axis term of the axis that is up at test point 1."""
         return np.asarray((u[0] + u[8] - 2 * u[4]) / 4)
 
     def level(u: Floats) -> Floats:
-        """Bias from the points where the axis is up and down."""
+        """Return the bias from the points where the axis is up and down."""
         return np.asarray((u[0] + u[8] + 2 * u[4]) / 4)
 
     x, y, z = 0, 1, 2
@@ -58,10 +58,11 @@ def closed_form(signals: Floats) -> Floats:
 
 
 def closed_form_gain(readings: Readings) -> Floats:
-    """Return the linear map from readings to coefficients, shape (12, n, 3): passes averaged, then (8).
+    """Return the linear map from readings to coefficients, shape (12, n, 3): passes are averaged, then (8)
+    is applied.
 
     Raises `CalibrationError` when a test point of the paper's two installations is missing, or an angle is
-    not the nominal one, which these formulas take for granted.
+    not the nominal one that these formulas assume.
     """
     cell, count = _cells(readings)
     unit = np.eye(2 * 3 * POINTS).reshape(2 * 3 * POINTS, 2, 3, POINTS)
@@ -71,7 +72,7 @@ def closed_form_gain(readings: Readings) -> Floats:
 
 
 def nominal_angles_rad(readings: Readings) -> Floats:
-    """Return the angles (n,) that the closed form takes for granted. Raises as `closed_form_gain` does."""
+    """Return the nominal angles (n,) that the closed form assumes. Raises as `closed_form_gain` does."""
     _cells(readings)
     return np.asarray(NOMINAL_RAD[readings.point - 1])
 

@@ -20,15 +20,15 @@ from bench.stats.reml import Mixed, Projection, asked_for, maximise
 from bench.stats.repeats_likelihood import DIGITS
 
 ASKED_P: Final = 0.01
-"""Components are taken in where chance alone would ask for any of them less often than this."""
+"""Significance level: a component is added if chance alone would suggest any of them less often than this."""
 SOME: Final = 0.2
-"""Where the search for the variance of a component begins, as a part of that of the noise."""
+"""Start value of the variance of a component, as a part of the variance of the noise."""
 HARDLY_ANY: Final = 0.01
-"""A component whose variance is a smaller part of that of the noise has been taken in by another."""
+"""A component with a smaller part of the variance of the noise is already explained by another component."""
 MOST_SIGNALS: Final = 1500
-"""More signals than these are not searched: their matrices would take minutes."""
+"""Largest number of signals that are searched for components: larger matrices would take minutes."""
 WAVES: Final = 8
-"""Shapes of a random walk that are kept: those left out have 1 % of its variance."""
+"""Number of principal shapes of a random walk that are kept: the others have 1 % of its variance."""
 NOISE: Final = "noise"
 SETTING: Final = "setting error"
 ANGLE: Final = "angle of a setting"
@@ -37,9 +37,9 @@ DRIFT: Final = "drift"
 
 @dataclass(frozen=True)
 class SharedErrorFit:
-    """A fit that holds what its readings share, the components that were taken in, and the drift if one was.
+    """A fit with the variance components that its readings share, and with the drift if one was found.
 
-    `covariance` (3n + m, 3n + m) is that of the readings then; None where each is as the noise says. `wander` (3,),
+    `covariance` (3n + m, 3n + m) is that of the readings; None if they share no component. `wander` (3,),
     unit, is how far each bias may wander about its mean over the run, rms: as found, widened for its few degrees
     of freedom, or as the readings leave open where they ask for no drift; None where it was not searched for.
     """
@@ -53,20 +53,20 @@ class SharedErrorFit:
 
 @dataclass(frozen=True)
 class _Term:
-    """A candidate: `columns` (N, q) of draws of unit variance times `scale` in the unit."""
+    """A candidate component: `columns` (N, q) of draws of unit variance times `scale` in the unit."""
 
     what: str
     channels: str
     columns: Floats
     unit_of: Floats
-    """What a draw of unit variance is in the unit of the signal (channels,) or rad."""
+    """The size of a draw of unit variance, in the unit of the signal (channels,) or rad."""
 
 
 def take_in(problem: Problem, fit: Fit, unit: str, floor: float = 0.0) -> SharedErrorFit:
-    """Return the fit with what its readings share. Nothing is searched where there are too few repeats.
+    """Return the fit with the variance components that its readings share.
 
-    Nor where the noise is that of the last digit, whose covariance is singular within rounding. `floor`
-    (unit of the signal) is the least noise that is believed.
+    Nothing is searched if there are too few repeats, or if the noise is that of the last digit, whose
+    covariance is singular within rounding. `floor` (unit of the signal) is the least noise that is believed.
     """
     try:
         return _searched(problem, fit, unit, floor)
@@ -101,10 +101,10 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErro
 def _taken_in(
     problem: Problem, fit: Fit, basic: list[_Term], further: list[_Term], floor: float
 ) -> tuple[list[_Term], Floats, Floats, Floats]:
-    """Return the terms that are in, their variances and probabilities (k,), and how far biases may wander (3,).
+    """Return the accepted terms, their variances and probabilities (k,), and the possible bias wander (3,).
 
-    Kinds of component are one family, which chance alone enters with `ASKED_P`: by Holm's method, stepping down,
-    each is asked for beside those that are in.
+    All kinds of component form one family of tests with the familywise error rate `ASKED_P`. By Holm's
+    step-down method each further kind is tested beside the accepted ones.
     """
     terms, left, chance = list(basic), list(further), np.zeros(len(basic))
     theta = np.ones(len(basic))
@@ -132,9 +132,9 @@ def _taken_in(
 
 
 def _most_asked(terms: list[_Term], chance: Floats) -> tuple[str, float]:
-    """Return the kind that is asked for most, and the probability that chance alone asks for any as much.
+    """Return the most significant kind, and the probability that chance makes any kind as significant.
 
-    The channels of a kind are asked for together (Fisher's combination of their probabilities).
+    The channels of a kind are tested together (Fisher's combination of their probabilities).
     """
     kinds = list(dict.fromkeys(t.what for t in terms))
     of = np.array([kinds.index(t.what) for t in terms], dtype=np.int64)
@@ -157,7 +157,7 @@ def _wander(terms: list[_Term], variances: Floats) -> Floats:
 
 
 def _basic(fit: Fit) -> list[_Term]:
-    """The noise of each channel and the setting error, in units of the sizes that the repeats gave."""
+    """Return the noise of each channel and the setting error, in units of the sizes from the repeats."""
     n = len(fit.residuals)
     free = fit.system.free
     terms = []
@@ -180,7 +180,7 @@ def _typical(fit: Fit) -> float:
 
 
 def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
-    """Yield what may be shared beyond that. A size of its own per channel only where repeats are many enough."""
+    """Yield the candidates for shared variance. Channels have sizes of their own only with enough repeats."""
     settings = repeat_groups(conditions)
     passes = _labels(conditions.mount, conditions.pass_number)
     visits = _visits(conditions)
@@ -248,7 +248,7 @@ def _walk(time_s: Floats) -> Floats:
 def walk_since(time_s: Floats, later_s: Floats) -> Floats:
     """Return the covariance (v, v) of a random walk at later times about its mean over readings at `time_s` (n,).
 
-    In units of its mean variance over these readings, as the size of a drift is stated.
+    It is in units of the walk's mean variance over these readings, in which the size of a drift is stated.
     """
     begin = min(float(time_s.min()), float(later_s.min()))
     at, then = time_s - begin, later_s - begin
@@ -263,7 +263,7 @@ def walk_since(time_s: Floats, later_s: Floats) -> Floats:
 
 
 def _mixed(problem: Problem, fit: Fit, Z: list[Floats]) -> Mixed:
-    """The linear system of the fit as data with fixed effects; what has a stated prior is a known covariance."""
+    """Return the linear system of the fit as a mixed model; unknowns with a prior are a known covariance."""
     system, others = fit.system, fit.others
     rows = np.concatenate([system.jacobian.reshape(-1, system.jacobian.shape[2]), system.free.jacobian])
     fixed = rows.shape[1] - len(others)
@@ -312,7 +312,7 @@ def _noise(fit: Fit, terms: list[_Term], theta: Floats, dof: Floats, base: int) 
 def _drift(
     problem: Problem, mixed: Mixed, at: Projection, drifts: list[tuple[_Term, Floats, float]], n: int
 ) -> BiasWander:
-    """The best linear prediction of each channel's course, and of the line through it."""
+    """Return the best linear prediction of each bias over time, and of the straight line through it."""
     time_h = problem.conditions.elapsed_s / HOUR
     line = time_h - time_h.mean()
     size, course = np.zeros(3), np.zeros((n, 3))
@@ -327,7 +327,7 @@ def _drift(
 def heavy_tails(problem: Problem, fit: Fit) -> float:
     """Return the probability of so many large deviations of repeats where the noise is Gaussian; NaN if too few.
 
-    From the excess kurtosis of repeats about their means over their noise, whose standard deviation is sqrt(24/N).
+    It tests the excess kurtosis of normalised deviations of repeats, whose standard deviation is sqrt(24/N).
     """
     if not len(problem.conditions) or fit.noise.source != "repeats":
         return float("nan")
@@ -350,10 +350,10 @@ def heavy_tails(problem: Problem, fit: Fit) -> float:
 
 
 UNEQUAL_P: Final = 0.001
-"""Channels of different noise, and heavy tails, are told from here on: not in every hundredth run."""
+"""Unequal noise of the channels, or heavy tails, are reported below this probability: rarely by chance."""
 
 DISAGREES_P: Final = 0.05
-"""Few readings seldom contradict a statement: a doubt is told early."""
+"""A contradiction to the stated noise is reported below this probability: few readings seldom show one."""
 
 _SHARED_BY: Final = {
     "setting": "the readings at a setting (installation and point) in all passes",
@@ -366,7 +366,7 @@ _SHARED_BY: Final = {
 def notes_on_noise(
     noise: Noise, tails: float, shared: SharedErrorFit, birge: float, unit: str
 ) -> tuple[str, ...]:
-    """Return the sentences; `tails` is the probability of such tails, `birge` by how much u was widened."""
+    """Return sentences on the noise; `tails` is the p-value of heavy tails, `birge` the factor on u."""
     notes = [*note_on_prior(noise, unit)]
     if noise.channels is not None and noise.p_equal < UNEQUAL_P:
         sizes = ", ".join(f"{c} {size:.2g} {unit}" for c, size in zip(CHANNELS, noise.channels, strict=True))
@@ -391,7 +391,7 @@ def notes_on_noise(
 
 
 def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
-    """Say where u rests on a statement, and whether the readings agree with it."""
+    """Return a sentence if u depends on stated noise, and say whether the readings agree with it."""
     return () if noise.prior is None else (_on_prior(noise.prior, unit),)
 
 

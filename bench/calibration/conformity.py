@@ -28,34 +28,34 @@ NON_BINARY: Final = "non-binary"
 RULES: Final = (SIMPLE, GUARDED, NON_BINARY)
 
 FALSE_ACCEPTANCE: Final = 0.05
-"""Largest probability of a false acceptance at a point, by the rule that holds where nobody states one."""
+"""Largest probability of a false acceptance at a point under the default decision rule."""
 NOMINAL_BAND: Final = float(special.ndtri(1.0 - FALSE_ACCEPTANCE)) / 2.0
-"""Its guard band in U, of a normal distribution with the other limit far away: 1.645 u."""
+"""Guard band of the default rule, in U, for a normal distribution with the other limit far away: 1.645 u."""
 
 COVERAGE_FACTOR: Final = 2.0
-"""U is so many times u where its degrees of freedom are infinite."""
+"""Coverage factor k of U = k u for infinite degrees of freedom."""
 
 _COVERAGE: Final = float(special.ndtr(COVERAGE_FACTOR) - special.ndtr(-COVERAGE_FACTOR))
 _SEED: Final = 106
-"""Of the draws that give the probability of several values together."""
+"""Seed of the random draws that give the joint probability of several values."""
 _DRAWS: Final = 100_000
 _AT_ONCE: Final = 10_000
 _NEGLIGIBLE: Final = 1e-9
 _SCALES: Final = 201
-"""So many normal distributions make a t."""
+"""Number of normal distributions in the mixture that approximates a t distribution."""
 _FARTHEST: Final = 30.0
 _ALIKE: Final = {1.0: 0.8, 0.0: 0.2}
-"""Correlation of the points of a block in its population, and how probable it is before they are measured.
+"""Prior probabilities of the correlation between the points of a block in its population.
 
-A population is of blocks: that a block has one error is the more probable; one for each point is not excluded.
+One error common to all points of a block is the more probable case; one for each point is possible.
 """
 _HALVINGS: Final = 50
 _FAR: Final = 12.0
-"""So many standard deviations away nothing is left of a normal distribution."""
+"""Number of standard deviations beyond which a normal distribution is negligible."""
 
 
 class Statement(StrEnum):
-    """A statement of conformity (ILAC-G8:09/2019, 4.2), or why there is none; the worst of several stands last."""
+    """A statement of conformity (ILAC-G8:09/2019, 4.2), or the reason for none; from best to worst."""
 
     PASS = "pass"
     CONDITIONAL_PASS = "conditional pass"
@@ -67,12 +67,12 @@ class Statement(StrEnum):
 
 @dataclass(frozen=True)
 class DecisionRule:
-    """How the uncertainty counts: `name` is one of `RULES`, the guard band is w = `guard_band` · U.
+    """A decision rule: `name` is one of `RULES`, the guard band is w = `guard_band` · U.
 
     Simple acceptance takes nothing off the limit; its statements have a guard band of U. The guarded rule accepts
-    up to limit − w. The non-binary one accepts there, too, and rejects beyond limit + w; what lies between is
-    stated, and accepted by nobody but the customer. A `guard_band` of None is that of the default rule: w is where
-    the probability of a false acceptance is `FALSE_ACCEPTANCE`.
+    up to limit − w. The non-binary rule does so, too, and rejects beyond limit + w; values between are stated
+    as conditional, and only the customer can accept them. A `guard_band` of None means the default rule,
+    whose w makes the probability of a false acceptance equal to `FALSE_ACCEPTANCE`.
     """
 
     name: str = NON_BINARY
@@ -80,10 +80,10 @@ class DecisionRule:
 
     @classmethod
     def of(cls, asked: str | DecisionRule | None, guard_band: float | None = None) -> DecisionRule:
-        """Return the rule for what a person typed: "simple" is simple acceptance. Raises `CalibrationError`.
+        """Return the rule for the name that a person typed: "simple" is simple acceptance.
 
-        With None it is the default rule, or with a guard band the non-binary one with that; a rule that is named
-        without a guard band has w = U.
+        None gives the default rule, or with a guard band the non-binary rule with this guard band. A
+        named rule without a guard band has w = U. Raises `CalibrationError` for an unknown rule.
         """
         if isinstance(asked, DecisionRule):
             return asked
@@ -106,17 +106,17 @@ class DecisionRule:
 
     @property
     def false_acceptance(self) -> float | None:
-        """The probability of a false acceptance that sets the guard band; None where it is so many times U."""
+        """The probability of a false acceptance that sets the guard band; None for a multiple of U."""
         return FALSE_ACCEPTANCE if self.guard_band is None else None
 
     def to_json(self) -> dict[str, str | float | None]:
-        """Return the rule as results have it."""
+        """Return the rule in the JSON form of results."""
         band = NOMINAL_BAND if self.guard_band is None else self.guard_band
         return {"rule": self.name, "guard_band": band, "false_acceptance": self.false_acceptance}
 
     @classmethod
     def of_json(cls, told: Mapping[str, Any]) -> DecisionRule:
-        """Return the rule that a result has, also one of an earlier version."""
+        """Return the rule from its JSON form in a result, which may be of an earlier version."""
         return cls(told["rule"], None if told.get("false_acceptance") else told["guard_band"])
 
     @property
@@ -128,16 +128,17 @@ class DecisionRule:
         return self.name if self.name == SIMPLE else f"{self.name} (w = {times}U)"
 
     def acceptance_limit(self, limit: float, known: MeasuredValues) -> Floats:
-        """Return up to which |y| is accepted, (n,).
+        """Return the largest |y| that is accepted, (n,).
 
-        Negative where nothing is: where U is more than the limit no value can be stated to conform, not even 0.
+        It is negative if no value is accepted: if U is more than the limit, not even 0 can be
+        stated to conform.
         Source: JCGM 106:2012, 8.2.1 and 8.3.2.1.
         """
         sure = self.pass_limit(limit, known)
         return np.where(known.expanded <= limit, limit, sure) if self.name == SIMPLE else sure
 
     def pass_limit(self, limit: float, known: MeasuredValues) -> Floats:
-        """Return up to which |y| is stated to pass, (n,); negative where nothing is."""
+        """Return the largest |y| that is stated to pass, (n,); negative if no value passes."""
         if self.guard_band is None:
             capable = known.expanded <= limit
             return np.where(capable, _largest_sure(limit, known), limit - known.expanded)
@@ -147,9 +148,9 @@ class DecisionRule:
         )
 
     def rejects(self, statement: Statement) -> bool:
-        """Whether a value with this statement that is not accepted is rejected.
+        """Return whether a value with this statement, if it is not accepted, is rejected.
 
-        What nothing can be said of is not, nor is a conditional pass under the non-binary rule.
+        A value without a decision is not rejected, nor is a conditional pass under the non-binary rule.
         """
         left_open = statement is Statement.CONDITIONAL_PASS and self.name == NON_BINARY
         return statement is not Statement.INCONCLUSIVE and not left_open
@@ -157,7 +158,8 @@ class DecisionRule:
     def statements(self, value: Floats, limit: float, known: MeasuredValues) -> list[Statement]:
         """Return the statements on measured values (n,).
 
-        With U beyond the limit there is none but "fail", of a value that is out by more than the guard band and U.
+        If U exceeds the limit, the only statement is "fail", for a value beyond the limit by more than the
+        guard band and U.
         Beyond the limit the guard band is that of the measurement alone, also where a population is stated.
         """
         if self.guard_band is None:
@@ -184,7 +186,7 @@ def _statement(size: float, guard: float, expanded: float, passes_to: float, lim
 
 @dataclass(frozen=True)
 class MeasuredValues:
-    """What is known of n measured values but the values: u, U, degrees of freedom, each (n,), and a population."""
+    """Uncertainties of n measured values: u, U and degrees of freedom, each (n,), and a population."""
 
     u: Floats
     expanded: Floats
@@ -195,13 +197,13 @@ class MeasuredValues:
     def of(
         cls, u: ArrayLike, dof: ArrayLike = np.inf, population: Population | None = None
     ) -> MeasuredValues:
-        """Return it with U at the level of k = 2."""
+        """Return the uncertainties, with U at the coverage probability of k = 2."""
         size, nu = (np.atleast_1d(np.asarray(one, dtype=np.float64)) for one in (u, dof))
         nu = np.broadcast_to(nu, size.shape)
         return cls(size, coverage_factor(nu) * size, nu, population)
 
     def but(self, *, times: float) -> MeasuredValues:
-        """Return it with all uncertainties so many times as large."""
+        """Return a copy with all uncertainties multiplied by `times`."""
         return replace(self, u=times * self.u, expanded=times * self.expanded)
 
     def outside(self, value: ArrayLike, limit: float) -> Floats:
@@ -212,7 +214,8 @@ class MeasuredValues:
 def _largest_sure(limit: float, known: MeasuredValues) -> Floats:
     """Return the largest |y| (n,) at which, on either side, the probability of a false acceptance is not too large.
 
-    At most the limit; −limit where even 0 has more. By bisection: on the worse side the probability grows with |y|.
+    It is at most the limit, and −limit if even y = 0 has a larger probability. Found by bisection, since the
+    probability on the worse side grows with |y|.
     """
 
     def sure(size: Floats) -> Mask:
@@ -229,7 +232,7 @@ def _largest_sure(limit: float, known: MeasuredValues) -> Floats:
 
 
 def coverage_factor(dof: ArrayLike) -> Floats:
-    """Return k of U = k u for degrees of freedom, of any shape: 2 where they are infinite, else of the same level.
+    """Return k of U = k u for degrees of freedom, of any shape: 2 if infinite, else of equal probability.
 
     Source: JCGM 100:2008, G.3.
     """
@@ -275,7 +278,7 @@ def _beyond(mean: Floats, size: Floats, limit: float, dof: Floats) -> Floats:
 
 
 def _mixture(y: Floats, u: Floats, dof: Floats, population: Population) -> tuple[Floats, Floats]:
-    """Return sizes (m, …) of the normal distributions of which t is the mixture, with their weights after y."""
+    """Return sizes (m, …) and posterior weights, given y, of the normal distributions that make up the t."""
     if np.all(np.isinf(dof)):
         return u[None], np.ones((1, *y.shape))
     factors, log_weights = _scales(dof)
@@ -340,7 +343,7 @@ def probability_one_outside(
 def probability_worst_outside(
     value: Floats, covariance: Floats, limit: float, dof: ArrayLike, population: Population
 ) -> float:
-    """Return the largest of the probabilities of single quantities, each after all values; else as all together."""
+    """Return the largest probability of any one quantity, given all values; arguments as for all together."""
     parts = _after(value, covariance, float(np.min(np.asarray(dof))), population)
     return float(np.max(_each_outside(parts, limit)))
 
@@ -366,7 +369,7 @@ def _outside(rng: np.random.Generator, mean: Floats, covariance: Floats, limit: 
 def _after(
     value: Floats, covariance: Floats, dof: float, population: Population
 ) -> list[tuple[float, Floats, Floats]]:
-    """Return weights, means (n,) and covariances (n, n) of the normal distributions that make up the posterior."""
+    """Return weight, mean (n,) and covariance (n, n) of each normal distribution in the posterior mixture."""
     n, off = len(value), value - population.mean
     scales = [(1.0, 0.0)]
     if math.isfinite(dof):
@@ -386,13 +389,13 @@ def _after(
 
 @dataclass(frozen=True)
 class Population:
-    """What is known of a quantity over all items before one is measured: normal, with mean and deviation."""
+    """Normal prior distribution of a quantity over all items, with its mean and standard deviation."""
 
     mean: float
     standard_deviation: float
 
     def __post_init__(self) -> None:
-        """Refuse what is no population. Raises `CalibrationError`."""
+        """Raise `CalibrationError` for values that are not a distribution."""
         sizes = (self.mean, self.standard_deviation)
         if not all(map(math.isfinite, sizes)) or self.standard_deviation <= 0.0:
             raise CalibrationError(
@@ -408,7 +411,7 @@ class Population:
 
 @dataclass(frozen=True)
 class GlobalRisk:
-    """Of all items of a population: the part accepted without conforming, and the part rejected that conforms."""
+    """Global risks: parts of a population that are accepted but do not conform, and rejected but conform."""
 
     false_accept: float
     false_reject: float
@@ -419,7 +422,7 @@ def global_risk(
 ) -> GlobalRisk:
     """Return the global risks of accepting measured values up to ±`accepted_up_to`, measured with u.
 
-    The double integral over true and measured value, of which the inner one has a closed form. Source:
+    It is the double integral over true and measured value, whose inner integral has a closed form. Source:
     JCGM 106:2012, 9.5.
     """
     from scipy.integrate import quad

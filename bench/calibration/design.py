@@ -26,7 +26,7 @@ STEP_RAD = 1e-5
 """Step of the central differences: their error and that of rounding are both about 1e-11 of a derivative."""
 
 WEAK = 10.0
-"""Prior of an effect's parameter whose size nobody stated, in plausible sizes: wide, so that data decide."""
+"""Prior u of an effect parameter without stated size, in plausible sizes: wide, so that the data decide."""
 
 SYMBOLS: Mapping[str, str] = {
     "axis_tilt": "alpha1",
@@ -71,7 +71,7 @@ class EffectUnknown:
 
 @dataclass(frozen=True)
 class FreeRows:
-    """Readings of which the modulus of the specific force alone is known, 1 g: `signal` (m, 3)."""
+    """Readings of which only the modulus of the specific force is known, 1 g: `signal` (m, 3)."""
 
     signal: Floats
     conditions: Conditions
@@ -79,7 +79,7 @@ class FreeRows:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """The model about a point: what it predicts (n, 3), its derivatives by all unknowns (n, 3, 12 + q).
+    """The linearised model: its predictions (n, 3) and its derivatives by all unknowns (n, 3, 12 + q).
 
     `slope` (n, 3) is du/dphi, how a setting error of the head shows in the signals, unit/rad.
     """
@@ -94,8 +94,8 @@ class Problem:
     """The unknowns of a fit: 12 coefficients, then stand angles, then parameters of effects.
 
     `free` are readings that join by the modulus alone; `upper` fixes K as upper triangular, which a fit to
-    free readings alone needs. `hang` (q, q) is the lower root of the correlation of the priors, None where each
-    stands by itself. `noise` is what is known of the sizes of the noise beside the readings, None where nothing is.
+    free readings alone needs. `hang` (q, q) is the lower root of the correlation of the priors, None where
+    they are independent. `noise` is prior knowledge of the sizes of the noise, None if there is none.
     """
 
     model: ForwardModel
@@ -124,7 +124,7 @@ class Problem:
 
     @property
     def prior_rows(self) -> Floats:
-        """What makes of unknowns over their prior u independent ones of unit u, shape (q, q)."""
+        """The matrix (q, q) that turns unknowns over their prior u into independent parts of unit u."""
         q = len(self.stand) + len(self.effects)
         return np.eye(q) if self.hang is None else np.asarray(np.linalg.solve(self.hang, np.eye(q)))
 
@@ -134,15 +134,15 @@ class Problem:
         return off if self.hang is None else np.asarray(np.linalg.solve(self.hang, off))
 
     def by_prior(self, columns: Floats) -> Floats:
-        """Return derivatives (..., q) by unknowns as those by independent parts of unit u of their priors."""
+        """Return derivatives (..., q) by unknowns as derivatives by independent prior parts of unit u."""
         scaled = columns * self.prior_u
         return scaled if self.hang is None else np.asarray(scaled @ self.hang)
 
     def names(self) -> list[str]:
         """Names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]".
 
-        An effect of certain mountings has them at its end: "turn_on_shift.step[y][2]"; of one that is there
-        in several shapes, the shape stands behind: "axis_wobble.sine(harmonic 2)".
+        An effect of certain mountings ends with them: "turn_on_shift.step[y][2]"; if an effect
+        occurs in several shapes, its shape follows the name: "axis_wobble.sine(harmonic 2)".
         """
         stand = [f"{SYMBOLS[STAND_ANGLES[s.column]]}[{self.conditions.mounts[s.mount]}]" for s in self.stand]
         effects = []
@@ -156,7 +156,7 @@ class Problem:
         return stand + [f"{name}({shape})" if effects.count(name) > 1 else name for name, shape in named]
 
     def parameter(self, unknown: EffectUnknown) -> Parameter:
-        """Return the parameter of an effect that an unknown is."""
+        """Return the parameter of an effect for an unknown."""
         parameters = self.model.effects[unknown.effect].effect.parameters
         return next(p for p in parameters if p.name == unknown.parameter)
 
@@ -195,8 +195,8 @@ class Problem:
     def linear(self, block: Block, others: Floats) -> Linearisation:
         """Return the model made linear about a point.
 
-        Central differences of the forward model itself, so that there is no second formula to keep in step;
-        exact for the coefficients, in which a model without effects is linear.
+        It takes central differences of the forward model itself, so there is no second formula to maintain.
+        They are exact for the coefficients, in which a model without effects is linear.
         """
         if not len(self.conditions):
             nothing = np.zeros((0, 3))
@@ -214,8 +214,8 @@ class Problem:
     def forces(self, block: Block, others: Floats) -> tuple[Floats, Floats, dict[int, Floats]]:
         """Return specific forces (n, 3), their derivatives by the head's angle and by each stand angle in use.
 
-        The latter by the column of `STAND_ANGLES`, each in the mounting of the row. All steps go through the
-        forward model at once: every step is a set of mountings of its own.
+        The latter have the column in `STAND_ANGLES` as key, each for the mounting of the row. All steps go
+        through the forward model at once: every step is a set of mountings of its own.
         """
         n, used = len(self.conditions), self._columns
         stand = self.stand_matrix(others)
@@ -243,7 +243,7 @@ class Problem:
 
     @cached_property
     def _last(self) -> dict[tuple[bytes, bytes], Linearisation]:
-        """The points about which the model was last made linear: fits begin and rest at the same ones."""
+        """Cache of the latest linearisations: fits begin and end at the same points."""
         return {}
 
     def _kept(self, block: Block, others: Floats) -> Linearisation:
@@ -287,7 +287,7 @@ class Problem:
         return replace(self.model, effects=self.effects_at(others)) if self.effects else self.model
 
     def _read(self, model: ForwardModel, block: Block, stand: Floats, force: Floats | None) -> Floats:
-        """Return the readings (n, 3) of a model; for the specific `force` (n, 3) that acts, where it is known."""
+        """Return the readings (n, 3) of a model, for the acting specific `force` (n, 3) if it is known."""
         if force is None:
             return model.readings(block, self.conditions, stand)
         return model.voltmeter_readings(model.output(force, self.conditions, block), self.conditions, block)
@@ -315,17 +315,17 @@ def make_problem(
     free: FreeRows | None = None,
     known: KnownStand | None = None,
 ) -> Problem:
-    """Set up the unknowns: a stand angle is one where its size is not zero, an effect's sizes all are.
+    """Return the problem with its unknowns: stand angles with a non-zero u, and the sizes of all effects.
 
-    Its shapes (`Parameter.is_shape`) are not: they stay as the model has them. What a level showed of a mounting
-    stands in place of the size that the bench file states.
+    Shapes of effects (`Parameter.is_shape`) are not unknowns: they keep the values of the model. Level
+    readings of a mounting replace the size that the bench file states.
 
     `stand_u` are standard uncertainties by the names in `STAND_ANGLES`, rad, and of the noise where it is stated:
     "setting_error" (rad) and "voltmeter_error" (in the unit of the signals). The prior of an effect's
     parameter lies about the value in the model with the standard uncertainty stated there, which must come
     from other readings than those to be fitted; where none (or zero) is stated, with `WEAK` times the
-    catalogue's plausible size. `known` is what other runs told of the stand's angles: it stands in place of
-    `stand_u`, where no level showed the angle, and what they told of the noise in place of what is stated.
+    catalogue's plausible size. `known` is the knowledge from other runs. Its angles replace `stand_u`
+    if no level measured the angle; its noise replaces the stated noise.
     """
     levels = conditions.levels()
     stand = tuple(
@@ -346,7 +346,7 @@ def make_problem(
 
 
 def _with_known(problem: Problem, known: KnownStand) -> Problem:
-    """Return the problem with the priors of angles that no level showed as they are known."""
+    """Return the problem with the known priors for all angles that no level measured."""
     stand, mounts = problem.stand, problem.conditions.mounts
     told = [j for j, unknown in enumerate(stand) if not unknown.measured]
     if not told:

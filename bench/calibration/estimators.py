@@ -13,12 +13,12 @@ from bench.calibration.gls import Estimator
 from bench.calibration.result import CalibrationError
 
 GLS: Final = "gls"
-"""The name of the one that is used where none is asked for."""
+"""Name of the default estimator."""
 CLOSED_FORM: Final = "closed-form"
 ROBUST: Final = "robust"
 
 MODULES: Final = ("gls", "closed_form", "linear", "outliers")
-"""The modules that have an estimator, in the order in which they are told."""
+"""The modules that have an estimator, in the order in which help texts list them."""
 
 
 def _of(module: str) -> Estimator:
@@ -30,7 +30,7 @@ ESTIMATORS: Final[Mapping[str, Estimator]] = {found.name: found for found in map
 
 
 def find_estimator(asked: str) -> Estimator:
-    """Return the estimator of a name. Raises `CalibrationError` for another."""
+    """Return the estimator of a name. Raises `CalibrationError` for an unknown name."""
     for estimator in ESTIMATORS.values():
         if asked in {estimator.name, *estimator.also}:
             return estimator
@@ -38,13 +38,13 @@ def find_estimator(asked: str) -> Estimator:
 
 
 def in_a_budget(asked: str) -> Estimator:
-    """Return the estimator whose linear map is that of the one asked for. Raises `CalibrationError`."""
+    """Return the estimator that represents the requested one in a budget. Raises `CalibrationError`."""
     estimator = find_estimator(asked)
     return ESTIMATORS[estimator.counts_as or estimator.name]
 
 
 def estimators_in_words(*, budget: bool = False) -> str:
-    """Return the names and what they are as a help text; `budget` adds what some count as in a budget."""
+    """Return a help text with names and phrases; `budget` adds which one represents another in a budget."""
     phrases = [f"{' or '.join((e.name, *e.also))} ({e.phrase})" for e in ESTIMATORS.values()]
     text = f"{', '.join(phrases[:-1])}, or {phrases[-1]}"
     counted = [f"{e.name} counts as {e.counts_as}" for e in ESTIMATORS.values() if e.counts_as]

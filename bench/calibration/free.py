@@ -21,15 +21,15 @@ from bench.model.geometry import Block
 MOST_ROUNDS: Final = 50
 STANDS_STILL_G: Final = 1e-14
 LEAST_POSITIONS: Final = 10
-"""Nine unknowns, and one position more to tell the noise."""
+"""Least number of free positions: nine unknowns, and one more position to estimate the noise."""
 LEAST_PART: Final = 1e-3
-"""Positions do not determine what they show by less than this part of what they show best."""
+"""Least singular value, as a part of the largest, with which positions determine the ellipsoid."""
 PRODUCTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz", "x", "y", "z")
 
 
 @dataclass(frozen=True)
 class Modulus:
-    """Rows of the modulus, in g, about a point.
+    """The linearised rows of the modulus in a fit, in g.
 
     `left` (m,) is 1 - |a|, `jacobian` (m, 12 + q) d|a| by the unknowns, `by_signal` (m, 3) d|a|/dU, g/unit.
     """
@@ -59,7 +59,7 @@ def modulus_rows(problem: Problem, block: Block, others: Floats) -> Modulus:
 
 
 def _differences(problem: Problem, block: Block, others: Floats, columns: Floats) -> None:
-    """Fill in the derivatives of |a| by central differences; the stand's angles turn a, no more."""
+    """Fill in the derivatives of |a| by central differences; those by stand angles are zero."""
     step = 1e-4 * float(np.max(np.abs(block.K)))
 
     def size(vector: Floats, values: Floats) -> Floats:
@@ -77,9 +77,9 @@ def _differences(problem: Problem, block: Block, others: Floats, columns: Floats
 
 
 def _force(problem: Problem, free: FreeRows | None, block: Block, others: Floats) -> Floats:
-    """Return the specific force (m, 3) of free readings: the model's chain from force to reading, inverted.
+    """Return the specific force (m, 3) of free readings, by inverting the model from force to reading.
 
-    Raises `CalibrationError` where an effect needs what these readings lack.
+    Raises `CalibrationError` where an effect needs data that these readings lack.
     """
     assert free is not None  # noqa: S101 - the callers have it
     force = block.specific_force(free.signal)
@@ -106,7 +106,7 @@ def _force(problem: Problem, free: FreeRows | None, block: Block, others: Floats
 def first_guess_free(signal: Floats) -> Block:
     """Return a block with upper triangular K from signals (m, 3) of free positions alone.
 
-    The ellipsoid (U - b)^T A (U - b) = 1 by linear least squares, A = N^T N with N upper triangular.
+    It fits the ellipsoid (U - b)^T A (U - b) = 1 by linear least squares, A = N^T N with N upper triangular.
     Raises `CalibrationError` where the positions do not determine the nine coefficients.
     """
     if len(signal) < LEAST_POSITIONS:

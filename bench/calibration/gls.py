@@ -2,7 +2,7 @@
 
 The setting error is common to the three channels of a point; axis tilt, zero offset and mounting error are
 common to a mounting and have the sizes that the bench file states. The exact forward model is made linear
-about the current estimate until it stands still (maximum a posteriori; for these small angles its
+about the current estimate until the estimate converges (maximum a posteriori; for these small angles its
 covariance is that of generalised least squares).
 """
 
@@ -37,24 +37,24 @@ MOST_ITERATIONS: Final = 20
 STANDS_STILL: Final = 5e-3
 """The fit has converged when no unknown moves by more than this part of its standard uncertainty.
 
-What is left then is smaller by the curvature of the model, about 1e-5, once more.
+The remaining error is smaller still by the curvature of the model, about 1e-5.
 """
 NEARLY_STILL: Final = 1e-2
 """Below this part the sizes of the noise are no longer estimated anew: they would not change."""
 ESTIMATIONS: Final = 8
-"""So many steps estimate the sizes of the noise: they may go to and fro between two maxima of their likelihood."""
+"""Number of steps that estimate the noise: its sizes may alternate between two maxima of their likelihood."""
 FAR_FROM_STILL: Final = 0.1
-"""After the last iteration a point that still moves by more is no estimate."""
+"""The fit has failed if, after the last iteration, an unknown still moves by more than this part of its u."""
 LEAST_NOISE: Final = 1e-11
 """Least noise believed, as a part of the largest signal: keeps noise-free data solvable."""
 
 
 @dataclass(frozen=True)
 class Shift:
-    """One signal of a reading that is off by an amount of its own, which takes its weight away.
+    """An additional unknown offset of one signal, which removes the weight of this signal in the fit.
 
-    `channel` 0, 1, 2 is that of row `row` of the oriented readings, `SETTING` its setting of the head, which
-    moves all three along du/dphi; `MODULUS` is the modulus of free reading `row`.
+    `channel` 0, 1, 2 is a channel of row `row` of the oriented readings. `SETTING` is the setting of the head
+    in that row, which moves all three along du/dphi. `MODULUS` is the modulus of free reading `row`.
     """
 
     row: int
@@ -106,8 +106,8 @@ def fit(
     """Fit the problem to readings `signal` (n, 3) from a first guess; noise sizes not given are estimated.
 
     Noise is never believed below that of rounding to `resolution`, a rectangular distribution of that width.
-    Each of `shifts` is an unknown more, of which nothing is known before. With `one_size` the channels have noise
-    of one size, without each its own where they differ. Raises `CalibrationError` where the fit does not converge.
+    Each of `shifts` is an additional unknown without prior. With `one_size` all channels have noise of one
+    size; without it each has its own where they differ. Raises `CalibrationError` if there is no convergence.
     """
     block, others = start, problem.prior_mean
     floor = noise_floor(signal, resolution, problem.free)
@@ -142,7 +142,7 @@ def fit(
 
 
 def _not_converged(problem: Problem, system: System, unknown: int, moved: float) -> CalibrationError:
-    """Say that a fit did not converge, what still moved, and what it leaves."""
+    """Return the error of a fit that did not converge, with the moving unknown and the residuals."""
     names = (*COEFFICIENTS, *problem.names())
     left = rms(system.left) if len(system.left) else rms(system.free.left)
     unit = "" if len(system.left) else " g"
@@ -195,7 +195,7 @@ def linearise(
 
 @dataclass(frozen=True)
 class _Places:
-    """Where the unknowns of a step stand: `unknowns` among all 12 + q, `own` and `shifts` in the step."""
+    """Indices of the unknowns of a step: `unknowns` among all 12 + q, `own` and `shifts` within the step."""
 
     unknowns: Ints
     own: Ints
@@ -210,9 +210,9 @@ def _places(problem: Problem, shifts: int, others: int) -> _Places:
 
 
 def finish(problem: Problem, fit: Fit, covariance: Floats, noise: Noise) -> Fit:
-    """Take the last step of a fit once more, with a covariance (3n + m, 3n + m) of all its readings.
+    """Return the fit after repeating its last step with a covariance (3n + m, 3n + m) of all its readings.
 
-    `noise` are the sizes that go with it. The step is linear: the point of the fit is the one at which it rests.
+    `noise` has the sizes that belong to this covariance. The step is linear about the point of the fit.
     """
     system, others = fit.system, fit.others
     places = _places(problem, len(fit.shifts), len(others))
@@ -249,7 +249,7 @@ def noise_floor(signal: Floats, resolution: float, free: FreeRows | None = None)
 
 
 def _groups_without(problem: Problem, shifts: tuple[Shift, ...]) -> Ints:
-    """Number the groups of repeats; a reading with a shift stands alone and tells nothing of the scatter."""
+    """Number the groups of repeats; a reading with a shift forms a group of its own without scatter."""
     if not len(problem.conditions):
         return np.zeros(0, dtype=np.int64)
     groups = repeat_groups(problem.conditions)
@@ -264,9 +264,9 @@ def _result(
     problem: Problem, system: System, block: Block, others: Floats, sizes: Noise, places: _Places,
     found: Floats, covariance: Floats, gain: Floats, shifts: tuple[Shift, ...],
 ) -> Fit:  # fmt: skip
-    """Make the fit out of its last step, which was so small that what it leaves is linear in it.
+    """Return the fit from its last step, which is so small that the residuals are linear in it.
 
-    The misfit leaves out what is shifted.
+    The misfit excludes shifted signals.
     """
     free = system.free
     own = system.jacobian[:, :, places.own] @ found[places.own]
@@ -296,7 +296,7 @@ def _result(
 def estimate_noise(problem: Problem, system: System, groups: Ints, others: Floats, floor: float) -> Noise:
     """Estimate the sizes of the noise from repeats within `groups`, or where those are few from all residuals.
 
-    What the problem knows of the sizes counts beside the latter.
+    Prior knowledge of the sizes in the problem counts beside the residuals.
     """
     left, slope, free, known = system.left, system.slope, system.free, problem.noise
     if len(left):
@@ -327,7 +327,7 @@ def estimate_noise(problem: Problem, system: System, groups: Ints, others: Float
 
 @dataclass(frozen=True)
 class Solution:
-    """One step of the fit: the change of the unknowns (p,), their covariance (p, p), and what its gain is made of.
+    """One step of the fit: the change of the unknowns (p,), their covariance (p, p), and factors of the gain.
 
     `inverse` (p, p) and `q` (3n + m + priors, p): the unknowns are inverse q^T times the whitened rows.
     """
@@ -348,7 +348,7 @@ class Solution:
 
 
 def solve(problem: Problem, system: System, noise: Noise, others: Floats) -> Solution:
-    """Take one step of the fit, for noise of these sizes."""
+    """Return one step of the fit, for noise of these sizes."""
     rows, target, scale = whitened_rows(problem, system, noise, others)
     q, r = np.linalg.qr(rows)
     inverse = np.linalg.solve(r, np.eye(len(r))) * scale[:, None]
@@ -360,7 +360,7 @@ def whitened_rows(
 ) -> tuple[Floats, Floats, Floats]:
     """Return rows (3n + m + q, p), target and scale (p,) of a step: signals, moduli, priors, each of unit noise.
 
-    Column j is that of unknown j over its scale.
+    Column j belongs to unknown j divided by its scale.
     """
     n, _, p = system.jacobian.shape
     free = system.free
@@ -382,7 +382,7 @@ def whitened_rows(
 
 
 def lack_of_fit(problem: Problem, result: Fit) -> LackOfFit:
-    """Compare what the model leaves with the scatter of repeats (F test), or with noise that was given."""
+    """Compare the residuals of the model with the scatter of repeats (F test), or with given noise."""
     # a stated prior adds as much to the misfit as its unknown takes away; a weak one adds nothing
     unknowns = len(problem.active) + len(result.shifts) + sum(not e.stated for e in problem.effects)
     unknowns -= len(result.modulus)
@@ -419,7 +419,7 @@ def misfit_test(
 class WeightingTask:
     """Readings to weigh: their `signal` (n, 3) in V, `fit` by generalised least squares, and how to fit anew.
 
-    `refit` takes the shifts of readings that are to have no weight.
+    `refit` repeats the fit with shifts for the readings that are to have no weight.
     """
 
     problem: Problem
@@ -434,14 +434,14 @@ def _as_it_is(task: WeightingTask) -> Fit:
 
 @dataclass(frozen=True)
 class Estimator:
-    """One way from readings to coefficients; `phrase` says it in a few words, `also` are further names.
+    """An estimator of the coefficients; `phrase` describes it in a few words, `also` are further names.
 
-    `gain` gives the map (12, n, 3) of one that weighs the readings in a fixed manner; it takes oriented
+    `gain` gives the map (12, n, 3) of an estimator with fixed weights; such an estimator uses oriented
     readings alone. Without it `weigh` gives the fit. Its map in a budget is then the one at which it comes to
     rest from readings without errors, in which nothing is an outlier: a budget is linear, and so shows what the
     estimator does to usual errors, not what it gains or loses where a reading is an outlier. Where that map is
-    another estimator's, `counts_as` names it. `angles_rad` gives the angles (n,) that it takes for granted and
-    raises `CalibrationError` for other readings; left out, they are those of the readings.
+    another estimator's, `counts_as` names it. `angles_rad` gives the angles (n,) that the estimator assumes
+    and raises `CalibrationError` for other readings; left out, they are those of the readings.
     """
 
     name: str
@@ -455,7 +455,7 @@ class Estimator:
 
     @property
     def weighs_all(self) -> bool:
-        """Whether it can take readings whose modulus alone is known."""
+        """Whether the estimator can use readings of which only the modulus is known."""
         return self.gain is None
 
 

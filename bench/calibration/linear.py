@@ -15,7 +15,7 @@ from bench.model.geometry import Block
 
 
 def least_squares_gain(problem: Problem) -> Floats:
-    """Return the map (12, n, 3) of ordinary least squares at stand angles of zero, every reading alike."""
+    """Return the map (12, n, 3) of ordinary least squares at zero stand angles, with equal weights."""
     still = problem.stand_matrix(np.zeros(0))
     unit = Block(np.eye(3), np.zeros(3))
     plain = replace(problem.model, effects=())
@@ -27,7 +27,7 @@ def least_squares_gain(problem: Problem) -> Floats:
 def linear_estimate(
     problem: Problem, signal: Floats, fit: gls.Fit, gain: Floats, shared: Floats | None = None
 ) -> gls.Fit:
-    """Return the estimate by a gain (12, n, 3), with the covariance that the errors of the bench give to it.
+    """Return the estimate by a gain (12, n, 3), with its covariance from the errors of the bench.
 
     `fit` is that of generalised least squares on the same readings: it has the noise, and the point at which
     effects of the model are taken off at their stated values, and the stand's angles as a level showed them.

@@ -1,4 +1,4 @@
-"""Mistakes in a table of readings that no fit should swallow: angles, saturation, units; an implausible block."""
+"""Mistakes in a table of readings that must stop a fit: angles, saturation, units; an implausible block."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ NOMINAL_RAD: Final = np.radians(45.0) * np.arange(POINTS)
 
 OTHER_UNITS: Final = {"radians": 180.0 / np.pi, "gon": 0.9, "whole turns": 360.0}
 BADLY: Final = 1e-3
-"""Part of the signals' variance that a wrong unit of angle leaves at least, and the right one at most."""
+"""Unexplained part of the signals' variance: more in a wrong unit of angle, less in the right one."""
 MUCH_BETTER_ANGLES: Final = 1e-2
 
 CLIPPED: Final = 3
-"""So many equal readings at the end of a channel's range may be more than chance."""
+"""Least number of equal readings at the end of a channel's range that may indicate saturation."""
 CLIPPED_FREE: Final = 4
 FAR_APART: Final = 0.05
 LEAST_CLIPPED: Final = 1e-4
-"""What is cut off, as a part of the channel's range, before it is called so: repeats may be exactly equal."""
+"""Least excess beyond the range, as a part of it, that counts as saturation: repeats may be equal."""
 
 COPLANAR: Final = 0.02
-"""Least singular value of K with rows of unit length: the axes of a block stand square, within minutes."""
+"""Least singular value of K with rows of unit length: a block's axes are orthogonal within arcminutes."""
 ALIKE: Final = 0.999
 NO_ANSWER: Final = 5.0
 
@@ -42,7 +42,7 @@ FARTHEST_NOMINAL_RAD: Final = np.radians(1.0)
 
 
 def require_numbers(rows: Readings, *, angles: bool) -> None:
-    """Refuse a signal, or an angle where `angles` matter, that is no number, and overload."""
+    """Raise `CalibrationError` for overload, or a non-numeric signal (or angle if `angles` matter)."""
     bad = np.asarray(~np.isfinite(rows.signal).all(axis=1))
     if angles:
         bad |= ~np.isfinite(rows.angle_rad)
@@ -82,7 +82,7 @@ def refuse_wrong_angle_unit(problem: Problem, signal: Floats, residuals: Floats)
 
 
 def _left(problem: Problem, signal: Floats, factor: float) -> float:
-    """Sum of squares that ordinary least squares leave at the angles times a factor."""
+    """Return the residual sum of squares of ordinary least squares, with the angles times a factor."""
     turned = replace(problem.conditions, angle_rad=problem.conditions.angle_rad * factor)
     _, left = least_squares(force_columns(replace(problem, conditions=turned)), signal)
     return float(np.sum(left**2))
@@ -136,7 +136,7 @@ def refuse_saturated(columns: Floats, signal: Floats, resolution: float) -> None
 
 
 def _equal_where_forces_differ(columns: Floats, signal: Floats, sides: Floats) -> bool:
-    """Whether readings at one end are equal although the fit to all has them far apart."""
+    """Return whether readings at one end are equal although the fit to all predicts them far apart."""
     expected = columns @ least_squares(columns, signal)[0]
     return any(
         np.ptp(expected[sides == side]) > FAR_APART * np.ptp(expected)
@@ -163,7 +163,7 @@ def _raise_saturated(axis: str, count: int, signal: Floats) -> None:
 
 
 def refuse_singular(block: Block, u: Floats | None = None) -> None:
-    """Refuse a block whose channels do not tell three axes: one does not answer, or two are alike.
+    """Refuse a block whose channels do not span three axes: one does not respond, or two are parallel.
 
     `u` (12,) are the standard uncertainties, where they are known.
     """
@@ -249,18 +249,18 @@ def implausible(result: Calibration, nominal: Sequence[float]) -> tuple[str, ...
 
 
 PREFIX: Final = 3.0
-"""Powers of ten from a prefix to the next."""
+"""Powers of ten from one unit prefix to the next."""
 NEAR: Final = 0.3
-"""A size is one of these factors off where it is within a factor of 2 of it."""
+"""Tolerance in log10 (a factor of 2) within which a ratio of sizes counts as a power of 1000."""
 LEAST_SPAN_G: Final = 0.5
-"""Along a channel, in a part of the table: less says nothing of its size."""
+"""Least span of specific force along a channel, g, from which a part of the table shows its signal size."""
 PREFIXES: Final = (-2, -1, 0, 1, 2)
 MUCH_BETTER: Final = 1e-4
-"""A part in which a channel hardly moves has the unit that leaves no more of the sum of squares."""
+"""Residual sum of squares, relative to the unit as read, below which a still part has another unit."""
 CLEARLY: Final = 30.0
-"""Three signals together are so many times larger or smaller than usual where their unit is another."""
+"""Ratio to the usual signal norm, up or down, from which a row is taken to be in another unit."""
 FITS: Final = 0.02
-"""Part of the variance of the signals that is left at most where the units are right."""
+"""Largest unexplained part of the signals' variance if the units are right."""
 
 _NAMES: Final = {
     "V": {1: "mV", 2: "µV"},
@@ -271,10 +271,11 @@ _NAMES: Final = {
 
 @dataclass(frozen=True)
 class WrongUnit:
-    """Which signals are in another unit: `power` (n, 3) of 1000 by which each row of the table is too large.
+    """The signals that are in another unit: `power` (n, 3) of 1000 by which each is too large.
 
-    `part` is what has it in words, empty for all rows; `channels` those that have it; `pass_number` and
-    `installation` where it is one of these. `whole` says that it is all signals, which only the data sheet shows.
+    `part` names the affected part of the table in words, empty for all rows; `channels` are those affected;
+    `pass_number` and `installation` are set if the part is one of these. `whole` says that all signals are
+    affected, which only the data sheet shows.
     """
 
     power: Ints
@@ -287,12 +288,12 @@ class WrongUnit:
 
     @property
     def whole(self) -> bool:
-        """Whether it is all signals."""
+        """Whether all signals are in another unit."""
         return not self.part and len(self.channels) == len(CHANNELS)
 
     @property
     def words(self) -> str:
-        """Say which signals, and in which unit they are."""
+        """Return in words which signals are in another unit, and in which."""
         what = (
             "all signals" if len(self.channels) == 3 else f"the signals of channel {', '.join(self.channels)}"
         )
@@ -354,14 +355,14 @@ def refuse_mixed_units(readings: Readings, model: ForwardModel, nominal: Sequenc
 
 
 def _groupings(readings: Readings) -> Iterator[tuple[str, list[str]]]:
-    """Yield in which parts of a table units may differ: nowhere, by pass, by installation."""
+    """Yield the groupings of rows by which units may differ: all rows together, by pass, by installation."""
     yield "", [""] * len(readings)
     yield "pass", [str(number) for number in readings.pass_number]
     yield "installation", [str(label) for label in readings.installation]
 
 
 def _powers(signal: Floats, force: Floats, labels: list[str], nominal: Sequence[float] | None) -> Ints:
-    """Return by which power of 1000 the signals of each row are too large, (n, 3)."""
+    """Return the power of 1000 by which each signal is too large, (n, 3)."""
     names = sorted(set(labels))
     rows = {name: np.array([label == name for label in labels]) for name in names}
     size = np.array([_sizes(signal[rows[name]], force[rows[name]]) for name in names])
@@ -379,7 +380,7 @@ def _powers(signal: Floats, force: Floats, labels: list[str], nominal: Sequence[
 
 
 def _with_still_parts(power: Ints, signal: Floats, force: Floats, labels: list[str]) -> None:
-    """Put into `power` the parts in which a channel hardly moves: by the bias that makes them fit the others."""
+    """Fill in `power` for parts in which a channel hardly moves, by the unit that fits all rows best."""
     for i in range(3):
         own = signal[:, i : i + 1] * 10.0 ** (-PREFIX * power[:, i : i + 1])
         if _unexplained(force, own) <= FITS:
@@ -398,7 +399,7 @@ def _with_still_parts(power: Ints, signal: Floats, force: Floats, labels: list[s
 
 
 def _left_over(force: Floats, signal: Floats) -> float:
-    """Return the sum of squares that the nominal geometry leaves."""
+    """Return the residual sum of squares of a linear fit at the nominal geometry."""
     return float(np.sum(least_squares(linear_columns(force), signal)[1] ** 2))
 
 
@@ -412,7 +413,7 @@ def _sizes(signal: Floats, force: Floats) -> Floats:
 
 
 def _unexplained(force: Floats, signal: Floats) -> float:
-    """Return the part of the variance that the nominal geometry leaves, the worst channel's."""
+    """Return the unexplained part of the variance of the worst channel, at the nominal geometry."""
     _, left = least_squares(linear_columns(force), signal)
     whole = np.sum((signal - signal.mean(axis=0)) ** 2, axis=0)
     return float(np.max(np.sum(left**2, axis=0) / np.maximum(whole, 1e-300)))
@@ -440,7 +441,7 @@ def _described(
 
 
 def _of_other(readings: Readings, row: int, power: Ints, scaled: Floats, *, everywhere: bool) -> Ints:
-    """Return the power for a row that is not oriented: that of all, or by the size of its signals."""
+    """Return the power (3,) for a row that is not oriented: that of all rows, or by its signal size."""
     if everywhere or readings.installation[row] in {REFERENCE, SHORTED}:
         return power[0] if everywhere else np.zeros(3, dtype=np.int64)
     usual = float(np.median(np.linalg.norm(scaled, axis=1)))
@@ -452,5 +453,5 @@ def _of_other(readings: Readings, row: int, power: Ints, scaled: Floats, *, ever
 
 
 def sheet_of(unit: str, scale_factors: Sequence[float]) -> Sequence[float] | None:
-    """Return what a data sheet says of signals in a unit: scale factors in V/g, of accelerations 1; else None."""
+    """Return the nominal signal per g in a unit: `scale_factors` for V, constants for g, m/s^2; else None."""
     return {"V": scale_factors or None, "g": (1.0, 1.0, 1.0), "m/s^2": (9.81, 9.81, 9.81)}.get(unit)

@@ -1,4 +1,4 @@
-"""How large the noise really is: estimated from repeats, not believed.
+"""Sizes of the noise, estimated from repeats rather than taken from a statement.
 
 A reading is the model plus a setting error common to its three channels, which acts along
 d = du/dphi, plus noise fresh in each channel and of a size of its own there: its covariance is
@@ -22,19 +22,19 @@ from bench.model.conditions import Conditions
 from bench.stats.repeats_likelihood import LEAST_DOF, believed_sizes
 
 CONTRADICTS_P: Final = 0.01
-"""Noise of a run that is that much unlike what is known is taken as the run has it."""
+"""Below this probability the noise of a run contradicts the known noise, and the run's own noise is used."""
 
 LEAST_SIGNALS: Final = 1.5 * LEAST_DOF
-"""So many free signals tell a size that well: two of three tell of the reading noise, the third of the setting."""
+"""Residual signals that give `LEAST_DOF`: of three, two show the reading noise, the third the setting."""
 
 
 @dataclass(frozen=True)
 class KnownNoise:
-    """Sizes (3,) of the channels in the unit and of the setting, rad, each with degrees of freedom.
+    """Prior knowledge of the noise: channels (3,) in the unit, setting in rad, each with degrees of freedom.
 
     Each variance has a scaled inverse chi-square distribution: it counts like repeats with as many degrees of
-    freedom. Those of other runs hold how far the noise of one run may be from that of the others; those of a
-    statement (`stated`) count only as far as readings lack them.
+    freedom. Degrees of freedom from other runs include the variation of noise between runs. Those of a
+    statement (`stated`) count only as far as the readings lack them.
     """
 
     channels: Floats
@@ -45,14 +45,14 @@ class KnownNoise:
 
     @classmethod
     def of_bench(cls, sizes: Mapping[str, float]) -> KnownNoise | None:
-        """Return what a bench file's sizes by name say; None where it states no noise of the voltmeter."""
+        """Return the noise from a bench file's sizes by name; None if it states no voltmeter noise."""
         reading, setting = sizes.get("voltmeter_error", 0.0), sizes.get("setting_error", 0.0)
         if not reading > 0.0:
             return None
         return cls(np.full(3, reading), np.full(3, LEAST_DOF), setting, LEAST_DOF, stated=True)
 
     def beside(self, signals: float) -> KnownNoise | None:
-        """Return what counts beside a fit that leaves so many signals free; None where they suffice."""
+        """Return the part that counts beside a fit with so many residual signals; None if these suffice."""
         if not self.stated:
             return self
         lacking = LEAST_DOF * (1.0 - max(signals, 0.0) / LEAST_SIGNALS)
@@ -71,11 +71,11 @@ class KnownNoise:
         return Noise(rms(self.channels), self.setting_rad, np.inf, "given", channels=(x, y, z))
 
     def times(self, part: float) -> KnownNoise:
-        """Return the sizes so many times as large."""
+        """Return the sizes multiplied by `part`."""
         return replace(self, channels=part * self.channels, setting_rad=part * self.setting_rad)
 
     def joined(self, own: Noise) -> Noise:
-        """Return the sizes of a run with what was known of them; the run's own where the two contradict."""
+        """Return a run's sizes combined with the known ones; the run's own where the two contradict."""
         if np.isinf(own.dof) or self.beside(own.dof) is None:
             return own
         dof = np.asarray(own.channel_dof) if own.channel_dof is not None else np.full(3, own.reading_dof)
@@ -91,14 +91,14 @@ class KnownNoise:
         )  # fmt: skip
 
     def contradicts(self, sizes: Floats, dof: Floats) -> bool:
-        """Whether sizes (3,) of a run with degrees of freedom (3,) are none that the known ones allow."""
+        """Return whether sizes (3,) of a run with degrees of freedom (3,) contradict the known ones."""
         ratio = np.square(sizes / self.channels)
         above = special.fdtrc(dof, self.channel_dof, ratio)
         chance = 2.0 * np.minimum(above, 1.0 - above)
         return bool(np.min(chance) < CONTRADICTS_P / 3)
 
     def _setting(self, own: Noise) -> float:
-        """Variances weighed by what is known of each; a run alone often knows next to nothing of its own."""
+        """Return the setting error, rad, from both variances, weighted by their uncertainties."""
         known = self.setting_rad**2
         if own.setting_limits_rad is None or not np.isfinite(own.setting_limits_rad[1]):
             return self.setting_rad
@@ -117,11 +117,11 @@ def _pooled(one: Floats, dof: Floats, other: Floats, other_dof: Floats) -> tuple
 
 @dataclass(frozen=True)
 class KnownStand:
-    """The stand's angles by kind and, where installations have means of their own, by installation.
+    """Prior knowledge of the stand's angles by kind and, where means differ, by installation.
 
     `keys` (k,) are pairs of a name in `STAND_ANGLES` and an installation (empty: of all), `mean` (k,) rad,
     `covariance` (k, k) rad^2 that of the means; `remount` are standard deviations of a mounting's own departure by
-    the name, rad. `noise` is what is known of the noise, None where nothing is.
+    the name, rad. `noise` is the knowledge of the noise, None if there is none.
     """
 
     keys: tuple[tuple[str, str], ...]
@@ -131,7 +131,7 @@ class KnownStand:
     noise: KnownNoise | None = None
 
     def place(self, name: str, installation: str) -> int | None:
-        """Return which mean an angle of a mounting has, None where nothing is known of it."""
+        """Return the index of the mean of an angle of a mounting, None where no mean is known."""
         for key in ((name, ""), (name, installation)):
             if key in self.keys:
                 return self.keys.index(key)
@@ -152,9 +152,9 @@ class KnownStand:
 
 
 METERS_DRIFT: Final = timedelta(days=90)
-"""In so long a meter may drift through its limits: those of data sheets are of 90 days."""
+"""Time in which a meter may drift through its limits: data sheets state 90-day limits."""
 ONE_SITTING: Final = timedelta(days=1)
-"""Within so long a meter stays as it is: data sheets state 24 hours' limits apart, and they are of this kind."""
+"""Time within which a meter does not drift: data sheets state separate limits for 24 hours."""
 
 
 def drifted(
@@ -162,8 +162,8 @@ def drifted(
 ) -> float:
     """Return the part of the meters' limits by which their errors may differ, from 0 (they cancel) to 1.
 
-    Each side is the identities of its meters and the time; other meters, unnamed ones and times that nobody told
-    cancel nothing.
+    Each side is the identities of its meters and the time; with different or unnamed meters, or unknown
+    times, nothing cancels.
     """
     (meters, when), (other, then) = first, later
     if not meters or tuple(meters) != tuple(other) or when is None or then is None:
@@ -176,7 +176,7 @@ def drifted(
 
 
 LEAST_REPEATS: Final = 12
-"""Repeats (readings less groups) below which their scatter is too poor a guide."""
+"""Least number of repeats (readings less groups) from which the noise is estimated by their scatter."""
 
 
 SAME_SCATTER: Final = 1e-3
@@ -235,7 +235,7 @@ def _group_sum(values: Floats, groups: Ints) -> Floats:
 
 
 def noise_from_repeats(scatter: RepeatScatter, floor: float, *, one_size: bool = False) -> Noise:
-    """Restricted maximum likelihood of the sizes of the noise from repeats, of each channel its own if they differ.
+    """Return the noise from repeats by restricted maximum likelihood, for each channel if they differ.
 
     `floor` (unit of the signal) is the least noise that is believed: the last digit of a reply.
     """
@@ -263,7 +263,7 @@ def _three(values: Floats) -> tuple[float, float, float]:
 
 
 class RepeatedNoise:
-    """Noise from repeats in a fit that goes on: estimated anew only where their scatter has changed.
+    """Noise from repeats during an iterative fit: estimated anew only where their scatter has changed.
 
     Deviations of a repeat from its group hardly depend on the point of the fit, for the angles read back are
     nearly alike.
@@ -305,17 +305,17 @@ def setting_limits(reading: float, setting_rad: float, slope2: float, freedom: f
 
 OF_RESIDUALS: Final = "residuals"
 LEAST_PART: Final = 1e-4
-"""Least reading noise that residuals can tell, as a part of what they are: below it the sums cancel."""
+"""Least reading noise that residuals can show, as a part of their size: below it the sums cancel."""
 MOST_PART: Final = 10.0
 
 
 @dataclass(frozen=True)
 class LikelihoodResiduals:
-    """What the model leaves, for the restricted likelihood of the two sizes of the noise.
+    """Residuals of the model, for the restricted likelihood of the two sizes of the noise.
 
     `columns` (n, 3, p + 1) are the derivatives by the unknowns, and the response last; those from `fixed` on are
-    random effects scaled to unit prior standard deviation. `slope` (n, 3) is du/dphi. `free` (m, p + 1) are the
-    same of moduli, in the unit of the signal: they have the reading noise alone.
+    random effects scaled to unit prior standard deviation. `slope` (n, 3) is du/dphi. `free` (m, p + 1) are
+    the columns of moduli, in the unit of the signal, with reading noise alone.
     """
 
     columns: Floats
@@ -325,12 +325,12 @@ class LikelihoodResiduals:
 
     @property
     def count(self) -> int:
-        """Signals and moduli."""
+        """Number of signals and moduli."""
         return 3 * len(self.columns) + len(self.free)
 
     @property
     def unknowns(self) -> int:
-        """Coefficients and random effects, p."""
+        """Number of coefficients and random effects, p."""
         return int(self.columns.shape[2]) - 1
 
     @cached_property
@@ -339,7 +339,7 @@ class LikelihoodResiduals:
         return max(rms(self._along[1]), 1e-300) if len(self.slope) else 1.0
 
     def spread(self, unknowns: int) -> float:
-        """Return what least squares with the first so many unknowns leave, over their degrees of freedom."""
+        """Return the residual standard deviation of least squares with the first `unknowns` columns."""
         rows = np.vstack([self.columns.reshape(-1, self.unknowns + 1), self.free])
         _, left = least_squares(rows[:, :unknowns], rows[:, -1])
         return float(np.sqrt(left @ left / max(self.count - unknowns, 1)))
@@ -383,10 +383,10 @@ class LikelihoodResiduals:
 
 
 def noise_from_residuals(of: LikelihoodResiduals, floor: float, known: KnownNoise | None = None) -> Noise:
-    """Restricted maximum likelihood of the two sizes of the noise from what the model leaves.
+    """Return the two sizes of the noise by restricted maximum likelihood from the residuals of the model.
 
-    For data without enough repeats. What is `known` of the sizes counts in it as a prior: of a statement as much as
-    the residuals lack of degrees of freedom, of other runs as much as they tell, unless the residuals contradict.
+    It serves data without enough repeats. `known` sizes count as a prior: stated ones with the degrees of
+    freedom that the residuals lack, those of other runs in full unless the residuals contradict them.
     """
     signals = max(of.count - of.unknowns, 0)
     known = None if known is None else known.beside(signals)
@@ -397,7 +397,7 @@ def noise_from_residuals(of: LikelihoodResiduals, floor: float, known: KnownNois
 
 
 def require_told(noise: Noise) -> None:
-    """Refuse sizes of the noise that hardly any reading tells and nobody stated: u would be an accident."""
+    """Refuse sizes of the noise with hardly any degrees of freedom and no prior: u would be arbitrary."""
     if noise.source == OF_RESIDUALS and noise.prior is None and noise.reading_dof < LEAST_DOF:
         raise CalibrationError(
             "so few readings tell nothing of their noise, and nobody stated it in the unit of the signals: measure "
@@ -406,7 +406,7 @@ def require_told(noise: Noise) -> None:
 
 
 def _prior(of: LikelihoodResiduals, known: KnownNoise, floor: float) -> NoisePrior:
-    """Return what is known beside the residuals: their y^T P y is chi-square if it holds, F about an estimate."""
+    """Return the prior with its test by y^T P y: chi-square for stated sizes, F for estimated ones."""
     reading, freedom = max(rms(known.channels), floor), of.count - of.fixed
     prior = NoisePrior(reading, known.setting_rad, known.dof, freedom, np.nan, np.nan, known.stated)
     if freedom <= 0:

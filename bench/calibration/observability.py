@@ -1,4 +1,4 @@
-"""Which unknowns readings determine; what they cannot show is assumed, and what it costs if that is wrong."""
+"""Which unknowns the readings determine, which are assumed, and what a wrong assumption costs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MOST_NAMED: Final = 4
 
 
 class DirectionKind(StrEnum):
-    """What a direction that leaves no trace is."""
+    """Kinds of directions in the unknowns that leave no trace in the readings."""
 
     UNSEEN = "no reading depends on it"
     TURN = "a common turn of the block's axes"
@@ -49,12 +49,12 @@ class Direction:
 
     @property
     def others(self) -> list[str]:
-        """The unknowns in it that are no coefficients: stand angles, settings, effects; small parts left out."""
+        """Stand angles, settings and effects in the direction; small parts are left out."""
         return self._telling([name for name in self.members if name not in COEFFICIENTS])
 
     @property
     def coefficients(self) -> list[str]:
-        """The coefficients in it; small parts left out."""
+        """The coefficients in the direction; small parts are left out."""
         return self._telling([name for name in self.members if name in COEFFICIENTS])
 
     def _telling(self, names: list[str]) -> list[str]:
@@ -62,7 +62,7 @@ class Direction:
         return [name for name in names if abs(self.members[name]) > MEMBER * largest]
 
     def text(self, unit: str = "V") -> str:
-        """Say it in words; `unit` is that of the signals."""
+        """Return the direction in words; `unit` is the unit of the signals."""
         if self.kind is DirectionKind.TURN and not self.others:
             return f"{self.kind} about {axis_in_words(self.axis)}: {self._changed(unit)}"
         if self.kind is DirectionKind.UNSEEN or not self.others:
@@ -90,7 +90,7 @@ class Direction:
         return f"{', '.join(names[:_MOST_NAMED])} as ({ratios}){more}"
 
     def _changed(self, unit: str) -> str:
-        """The coefficients that change, for an arcsecond where an angle leads."""
+        """Return the changes of coefficients in words, for one arcsecond if an angle is the first member."""
         angle = self.kind is DirectionKind.TURN or self.others[0].startswith(("alpha", "mounting"))
         size, per = (ARCSEC, "1 arcsec") if angle else (1.0, f"1 of {self.others[0]} (SI)")
         micro, shown_unit = (1e6, "µV") if unit == "V" else (1.0, unit)
@@ -112,7 +112,7 @@ def directions_of(
 
 
 class _Directions:
-    """Takes nameable directions out of a null space, the plainest first. Vectors are in scaled unknowns."""
+    """Extraction of nameable directions from a null space, plainest first. Vectors are in scaled unknowns."""
 
     def __init__(self, null: Floats, length: Floats, names: tuple[str, ...], block: Block) -> None:
         self._whole = self._null = null
@@ -136,7 +136,7 @@ class _Directions:
         return tuple(found)
 
     def _take_turns(self) -> list[Direction]:
-        """Turns of the block whose change of the coefficients lies in the null space."""
+        """Return the turns of the block whose change of the coefficients lies in the null space."""
         part = self._null[self._fixed]
         if not part.shape[1]:
             return []
@@ -151,12 +151,13 @@ class _Directions:
         return found
 
     def _take_out(self, vectors: Floats) -> None:
-        """Leave of the null space what is orthogonal to these vectors of it."""
+        """Reduce the null space to its part orthogonal to these vectors."""
         if vectors.shape[1]:
             self._null = self._null @ _null_space(vectors.T @ self._null)
 
     def _sparse(self, basis: Floats) -> list[Floats]:
-        """Vectors that span the same, each with a leading unknown that the others lack; coefficients lead last."""
+        """Return vectors that span the same space, each led by an unknown that the others lack;
+        coefficients lead last."""
         vectors = basis.copy()
         free = np.ones(len(vectors), dtype=bool)
         for k in range(basis.shape[1]):
@@ -172,7 +173,7 @@ class _Directions:
         return list(vectors.T)
 
     def _direction(self, kind: DirectionKind, vector: Floats) -> Direction:
-        """Name the members: stand angles first, then effects, then coefficients, each the largest first."""
+        """Return the named direction: stand angles first, then effects, then coefficients, largest first."""
         weight = np.abs(vector)
         weight[weight < _NOTHING * weight.max()] = 0.0
         change = vector / self._length
@@ -186,7 +187,7 @@ class _Directions:
         return replace(found, only=self._only([self._names.index(name) for name in found.others], change))
 
     def _only(self, pair: list[int], change: Floats) -> str:
-        """Which combination of a pair of unknowns no null vector touches: their sum, their difference, or none."""
+        """Return the combination of two unknowns that no null vector changes: sum, difference, or none."""
         if len(pair) != 2:
             return ""
         ratio = change[pair[1]] / change[pair[0]]
@@ -199,7 +200,7 @@ class _Directions:
 
 
 def _turns(block: Block) -> Floats:
-    """Change of the coefficients (12, 3) for a turn of the block's axes by 1 rad about x, y, z: dK = K [w]x."""
+    """Return the changes of coefficients (12, 3) for turns by 1 rad about x, y, z: dK = K [w]x."""
     cross = np.array([np.cross(np.eye(3), axis) for axis in np.eye(3)])
     columns: Floats = np.zeros((FIXED, 3))
     columns[:9] = np.stack([(block.K @ matrix).ravel() for matrix in cross], axis=1)
@@ -207,14 +208,14 @@ def _turns(block: Block) -> Floats:
 
 
 def _null_space(matrix: Floats) -> Floats:
-    """Orthonormal basis (n, d) of the vectors that `matrix` (m, n) takes to nearly zero."""
+    """Return an orthonormal basis (n, d) of the vectors that `matrix` (m, n) takes to nearly zero."""
     _, size, directions = np.linalg.svd(matrix)
     size = np.concatenate([size, np.zeros(len(directions) - len(size))])
     return np.asarray(directions[size < _IN_SPAN].T)
 
 
 def _plain_basis(axes: Floats) -> Floats:
-    """The same span of axes (3, d), by x, y, z themselves as far as they lie in it."""
+    """Return a basis of the span of axes (3, d), with x, y and z themselves as far as they lie in it."""
     within = [k for k in range(3) if np.linalg.norm(axes[k]) > 1 - _IN_SPAN]
     plain = np.eye(3)[:, within]
     rest = axes @ _null_space(plain.T @ axes) if within else axes
@@ -249,18 +250,18 @@ class Observability:
 
     @property
     def columns(self) -> int:
-        """How many unknowns there are."""
+        """Number of unknowns."""
         return len(self.names)
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """The unknowns that take part in a direction without trace: the data alone do not give them."""
+        """The unknowns that take part in a direction without trace: the data alone do not determine them."""
         weight = np.abs(self.null).max(axis=1, initial=0.0)
         return tuple(n for n, w in zip(self.names, weight, strict=True) if w > MEMBER)
 
     @property
     def determined(self) -> tuple[str, ...]:
-        """The unknowns that the data alone give."""
+        """The unknowns that the data alone determine."""
         return tuple(name for name in self.names if name not in self.undetermined)
 
 
@@ -268,7 +269,7 @@ class Observability:
 
 
 def with_angles(problem: Problem, names: Collection[str]) -> Problem:
-    """Return the problem with these stand angles of every mounting as unknowns, and those that it has."""
+    """Return the problem with these stand angles of every mounting as additional unknowns."""
     taken = {(s.mount, s.column) for s in problem.stand}
     further = tuple(
         StandUnknown(mount, STAND_ANGLES.index(name), ARCSEC)
@@ -296,7 +297,7 @@ class Sensitivities:
         return Sensitivities(self.rows[:, kept], tuple(self.names[j] for j in kept))
 
     def observability(self, block: Block) -> Observability:
-        """Return what rows like these determine; `block` tells how a turn of its axes looks."""
+        """Return the observability from these rows; `block` defines the effect of a turn of its axes."""
         length = np.linalg.norm(self.rows, axis=0)
         seen = length > _NO_COLUMN * max(float(length.max()), 1e-300)
         length = np.where(seen, length, 1.0)
@@ -316,9 +317,9 @@ def observability(
     common: Collection[str] = (),
     settings: bool = False,
 ) -> Observability:
-    """Return what readings under the problem's conditions determine of its unknowns.
+    """Return which of the problem's unknowns readings under its conditions determine.
 
-    Taken at zero stand angles, where the null vectors are exact, and at the coefficients of `block`.
+    It is taken at zero stand angles, where the null vectors are exact, and at the coefficients of `block`.
     `modulus` are further readings of which only |a| = 1 g is used; stand angles named in `common` are one
     unknown for all mountings; with `settings` the setting error of each point is an unknown, the same in every
     pass. Raises `KeyError` for an installation that the model lacks.
@@ -332,9 +333,9 @@ def observability(
 
 
 def columns_of(problem: Problem, block: Block, modulus: Conditions | None = None) -> Sensitivities:
-    """Return the derivatives by all unknowns of a problem at zero stand angles; `modulus` as above.
+    """Return the derivatives by all unknowns of a problem at zero stand angles.
 
-    Free readings of the problem take part by the modulus, too.
+    `modulus` is as in `observability`. Free readings of the problem contribute by their modulus, too.
     """
     others = problem.prior_mean
     parts = [np.zeros((0, FIXED + len(others)))]
@@ -377,7 +378,7 @@ def _with_settings(columns: Sensitivities, problem: Problem, block: Block) -> Se
 MATTERS: Final = 0.02
 """A coefficient is named when it takes more than this part of the largest effect of an assumption."""
 MOST_NAMED: Final = 8
-"""More stand angles than these are told by their symbols."""
+"""Largest number of stand angles that are named in words; more are listed by their symbols."""
 
 GAIN: Final = "voltmeter gain: 1 ppm of it is 1 ppm of every coefficient, and no reading shows it"
 GRAVITY: Final = (
@@ -404,7 +405,7 @@ def require_rank(force: Floats) -> None:
 
 
 def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[str, ...]:
-    """Return sentences on what the fit takes for granted, with the price of each.
+    """Return sentences on the assumptions of the fit, with the cost of each if it is wrong.
 
     `gain` (12, n, 3) is the estimator's map from readings to coefficients.
     """
@@ -432,7 +433,7 @@ def _is_unknown(problem: Problem, name: str) -> bool:
 def _absent(
     problem: Problem, columns: Sensitivities, block: Block, gain: Floats, unit: str, name: str
 ) -> str:
-    """Say what an arcsecond of a stand angle that is assumed zero puts into the coefficients."""
+    """Return sentences on the change of coefficients by one arcsecond of stand angles assumed zero."""
     oriented = gain[:FIXED].reshape(FIXED, -1)
     mounts = problem.conditions.mounts
     parts = []
@@ -456,9 +457,9 @@ def _absent(
 
 
 def _shown(columns: Sensitivities, oriented: int, block: Block, name: str) -> str:
-    """Whether readings show an angle where it is no unknown; common turns of the block's axes aside.
+    """Return whether readings show an angle that is no unknown, apart from common turns of the block's axes.
 
-    Of the rows of `columns` the first `oriented` are signals, those behind them moduli.
+    The first `oriented` rows of `columns` are signals, the rows after them moduli.
     """
     if _is_hidden(columns, block, name):
         return "nothing in these readings shows it"
@@ -488,7 +489,7 @@ def _small(value: float, unit: str) -> str:
 
 
 def _together(names: list[str]) -> str:
-    """Return stand angles in words; those of many mountings by their symbols."""
+    """Return stand angles in words, or by their symbols if there are many."""
     if len(names) <= MOST_NAMED:
         return ", ".join(names)
     symbols = dict.fromkeys(name.partition("[")[0] for name in names)
@@ -497,7 +498,7 @@ def _together(names: list[str]) -> str:
 
 
 def _undetermined(found: Observability, unit: str) -> list[str]:
-    """Sentences on the unknowns that only their limits hold: turns of the axes in one, others each by itself."""
+    """Return sentences on unknowns that only their limits determine: one on turns, one on each other."""
     turns = [d for d in found.directions if d.kind is DirectionKind.TURN]
     sentences = []
     if turns:

@@ -2,9 +2,10 @@
 
 Candidates are each signal of each reading, each setting of the head (which moves three signals along
 du/dphi), each modulus of a free position. In a step the candidate with the largest studentised residual gets a
-shift of its own, and noise and fit are made anew without it; a reading with a shift tells nothing of the noise.
+shift of its own, and noise and fit are estimated again without it. A reading with a shift
+does not count for the noise.
 After the last step the readings up to the last significant one are outliers: several may hide each other.
-The level counts all looks. Source: Rosner, Technometrics 25 (1983) 165 (generalised extreme studentised
+The level allows for all tests. Source: Rosner, Technometrics 25 (1983) 165 (generalised extreme studentised
 deviate), with the residuals of a regression.
 """
 
@@ -25,20 +26,20 @@ from bench.calibration.result import Outlier
 from bench.readings.table import Readings
 
 LEVEL: Final = 0.01
-"""Probability that a clean set of readings is said to have an outlier."""
+"""Probability that an outlier is found in readings without outliers."""
 QUIET: Final = 3.0
-"""No search where no studentised residual is beyond this: outliers that hide each other leave larger ones."""
+"""Studentised residual below which no search begins: outliers that hide each other leave larger ones."""
 LOUD: Final = 3.8
-"""A lone outlier leaves a larger one: its own part in the noise is small."""
+"""Studentised residual that a single outlier exceeds: its own part in the noise is small."""
 PLAINER: Final = 1.05
-"""A setting has to explain so much more than one of the three signals that it moves."""
+"""Factor by which the residual of a setting must exceed that of one of its three signals to be chosen."""
 LEAST_PART: Final = 1e-6
-"""A candidate is none where the fit takes up all but this part of it."""
+"""A signal is no candidate if the fit absorbs all but this part of its shift."""
 
 
 @dataclass(frozen=True)
 class FittedRows:
-    """The rows of a fit: oriented and free, and where each stands in the table (from 0)."""
+    """The oriented and free rows of a fit, with their row numbers in the table (from 0)."""
 
     oriented: Readings
     free: Readings
@@ -47,7 +48,7 @@ class FittedRows:
 
 
 def most_outliers(problem: Problem) -> int:
-    """Return how many outliers are looked for: more than an eighth of the readings are no exceptions."""
+    """Return the largest number of outliers: an eighth of the readings, but at least one."""
     readings = len(problem.conditions) + (0 if problem.free is None else len(problem.free.signal))
     return max(readings // 8, 1)
 
@@ -55,7 +56,7 @@ def most_outliers(problem: Problem) -> int:
 def search(problem: Problem, fit: Fit, refit: Callable[[tuple[Shift, ...]], Fit], most: int) -> Fit:
     """Return the fit with a shift for each outlier; `fit` itself where there is none.
 
-    `fit` has no shifts, `refit` makes it anew with some, `most` is how many are looked for.
+    `fit` has no shifts, `refit` repeats the fit with shifts, and `most` limits the number of outliers.
     """
     fits, significant = [fit], 0
     for step in range(most):
@@ -110,7 +111,7 @@ def most_extreme(problem: Problem, fit: Fit) -> tuple[Shift, float]:
 
 
 def listed(fit: Fit, chosen: FittedRows) -> tuple[Outlier, ...]:
-    """Return the shifts of a fit as outliers, with their places in the table."""
+    """Return the shifts of a fit as outliers, with their rows in the table."""
     found = []
     for shift, size, u in zip(fit.shifts, fit.shift, fit.u_shift, strict=True):
         free = shift.channel == MODULUS

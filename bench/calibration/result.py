@@ -18,11 +18,11 @@ from bench.stats.repeats_likelihood import LEAST_DOF
 
 @dataclass(frozen=True)
 class SourceOfError:
-    """An error that these readings do not show, and what it adds: `covariance` (12, 12) of the coefficients.
+    """An error source that the readings do not show, with its `covariance` (12, 12) of the coefficients.
 
-    `size` says in words how large it is taken, `origin` from where; `prior` that nobody stated it for this bench.
-    `cancels` tells that it acts alike wherever the same meters read the block. `of_block` (12, q) is there for
-    what the block itself brings wherever it goes: what each draw of it, one u large, adds to the coefficients.
+    `size` is its size in words, `origin` the source of this size; `prior` marks one not stated for this
+    bench. `cancels` marks an error that is equal wherever the same meters read the block. `of_block` (12, q)
+    is for an error of the block itself: the change of the coefficients by each draw of size u.
     """
 
     name: str
@@ -37,21 +37,21 @@ class SourceOfError:
 
 
 COVERAGE_FACTOR: Final = 2.0
-"""U is so many times u."""
+"""Coverage factor k of U = k u."""
 
 LACK_OF_FIT_P: Final = 0.01
-"""A model fits readings where chance leaves as much at least this often."""
+"""Least p-value of the misfit with which a model fits the readings."""
 
 NOT_ACCEPTED_P: Final = 1e-4
-"""Below it no calibration is accepted: its u widens with the misfit, but the cause is not known."""
+"""P-value below which no calibration is accepted: u widens with the misfit, but the cause is unknown."""
 
 HARDLY_BETTER = 0.95
-"""An uncertainty that is left to such a part of what it was before has learnt nothing worth the name."""
+"""Ratio of u after the data to u before them, from which the data have not improved an estimate."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its standard uncertainty, both in `unit`; `prior_u` is what was known before the data."""
+    """A value with its standard uncertainty, both in `unit`; `prior_u` is its u before the data."""
 
     value: float
     u: float
@@ -60,17 +60,17 @@ class Estimate:
 
     @property
     def told_by_data(self) -> bool:
-        """Whether the data made it any better known than it was before."""
+        """Whether the data reduced the uncertainty noticeably."""
         return self.u < HARDLY_BETTER * self.prior_u
 
 
 @dataclass(frozen=True)
 class NoisePrior:
-    """Sizes of the noise that were stated before the readings, and count beside them.
+    """Prior sizes of the noise, which count beside the readings.
 
     Each variance has a scaled inverse chi-square distribution about its size: `reading` (unit of the signal) and
-    `setting_rad`, 1 sigma, with `dof` degrees of freedom. `readings_dof` are those that the readings leave;
-    `ratio` is how many times the stated noise they scatter, with the two-sided probability `p` of being so far from
+    `setting_rad`, 1 sigma, with `dof` degrees of freedom. `readings_dof` are those of the residuals;
+    `ratio` is their scatter over the stated noise, with the two-sided probability `p` of being so far from
     1 (NaN where they leave no degree of freedom). Sizes that are not `stated` are those of other runs.
     """
 
@@ -84,14 +84,14 @@ class NoisePrior:
 
     @property
     def source(self) -> str:
-        """Where the sizes of a noise come from beside which these count."""
+        """Source, in words, of noise sizes estimated with this prior."""
         where = "the bench file" if self.stated else "other runs"
         return f"residuals and {where}" if self.readings_dof > 0 else where
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Sizes of what is fresh at each reading, 1 sigma.
+    """Sizes of the noise that is independent at each reading, 1 sigma.
 
     `reading` (unit of the signal) is fresh in each channel of each reading, `setting_rad` in each setting
     of the head and common to its three channels. `dof` are the degrees of freedom of the estimate (counted
@@ -119,9 +119,9 @@ class Noise:
 
     @property
     def reading_dof(self) -> float:
-        """Degrees of freedom of the reading noise: two of three signals tell of it, the third of the setting.
+        """Degrees of freedom of the reading noise: two of three signals show it, the third the setting.
 
-        Where no setting is known all of them do; channels with sizes of their own have the mean of theirs.
+        Without a known setting all three show it; channels with sizes of their own have the mean of theirs.
         """
         if self.channel_dof is not None:
             return float(np.mean(self.channel_dof))
@@ -144,7 +144,7 @@ class Noise:
 
 
 def widening(dof: float) -> float:
-    """Return sqrt(nu/(nu - 2)), by which a size with nu degrees of freedom enters larger; `LEAST_DOF` at least."""
+    """Return sqrt(nu/(nu - 2)), the factor that widens a size with nu (at least `LEAST_DOF`) dof."""
     nu = max(dof, LEAST_DOF)
     return 1.0 if np.isinf(nu) else float(np.sqrt(nu / (nu - 2)))
 
@@ -153,11 +153,11 @@ def widening(dof: float) -> float:
 class LackOfFit:
     """Residuals of the fit: their root mean square, and the part that repeats cannot explain.
 
-    `chi2` with `dof` is what the model leaves beyond the scatter of repeats, in units of that scatter; `p`
-    the probability of more (F test against the scatter). NaN where there are not enough repeats. Where the
-    noise was given, all that is left is compared with it. The closed form has `chi2` and `p` of the least
-    squares on the same readings: they judge the model, not the estimator. `rounding` is how much the digits of
-    readings without noise leave, which no model can explain.
+    `chi2` with `dof` is the misfit beyond the scatter of repeats, in units of that scatter; `p` is
+    the probability of a larger one (F test against the scatter). NaN where there are not enough repeats.
+    Where the noise was given, all that is left is compared with it. The closed form has `chi2` and `p` of
+    the least squares on the same readings: they judge the model, not the estimator. `rounding` is the
+    residual from the rounding of readings without noise, which no model can explain.
     """
 
     rms: float
@@ -172,11 +172,11 @@ class LackOfFit:
         return self.p < LACK_OF_FIT_P
 
     def accepted(self, *, strict: bool = False) -> bool:
-        """Whether a command that computes coefficients accepts them; with `strict` no lack of fit may be shown."""
+        """Return whether commands accept the coefficients; with `strict` no lack of fit may be shown."""
         return self.rms <= self.rounding or not (self.shown if strict else self.p < NOT_ACCEPTED_P)
 
     def diagnose(self, source: str) -> tuple[str, ...]:
-        """Say where to look for the reason where it is not accepted; nothing where it is."""
+        """Return hints at the cause if the fit is not accepted; nothing if it is."""
         if self.accepted():
             return ()
         return (
@@ -206,7 +206,7 @@ class Outlier:
     weight: float = 0.0
 
     def text(self) -> str:
-        """Say it in words."""
+        """Return the outlier in words."""
         visit = "" if self.series == 1 else f"series {self.series}, "
         size = f"{self.size:+.3g} {self.unit}"
         return (
@@ -262,12 +262,12 @@ class BiasWander:
 
 @dataclass(frozen=True)
 class Calibration(HasCovariance):
-    """The twelve coefficients and what belongs to them.
+    """The result of a calibration: the twelve coefficients, their covariance, residuals and notes.
 
     `covariance` (12, 12) in the order of `COEFFICIENTS` is the combined one, as far as `sources` go, and
     `covariance_readings` the part of these readings and of the stand as it is stated; K in unit/g with
     g = `g_m_s2`, biases in unit.
-    `stand` holds what the data tell of the stand ("alpha1[1]"), `effects` the fitted parameters of effects.
+    `stand` holds the estimated stand angles ("alpha1[1]"), `effects` the fitted parameters of effects.
     `fitted` are the readings used, `residuals` (n, 3) measured minus fitted with the stand's angles and the
     effects at their estimates. `free` are the readings that joined by their modulus, `modulus_error` (m,)
     |a| - 1 of each in g. `outliers` have no weight in the estimate; `notes` says what a reader should know.
@@ -324,23 +324,23 @@ class Calibration(HasCovariance):
 
     @property
     def covariance_same_meters(self) -> Floats:
-        """The combined covariance without what cancels where the same meters read the block, (12, 12)."""
+        """Combined covariance (12, 12) without the errors that cancel when the same meters read the block."""
         return self.covariance - sum((s.covariance for s in self.sources if s.cancels), np.zeros((12, 12)))
 
     @property
     def block_terms(self) -> Floats:
-        """What K2 and K3 of the block, each one u large, add to the coefficients, (12, q)."""
+        """Changes (12, q) of the coefficients by K2 and K3 of the block, each of size u."""
         parts = [s.of_block for s in self.sources if s.of_block is not None]
         return np.concatenate([np.zeros((12, 0)), *parts], axis=1)
 
     @cached_property
     def assumed(self) -> tuple[str, ...]:
-        """Sentences on what these data cannot show, and what it costs; worked out when first asked for."""
+        """Sentences on the assumptions that these data cannot test, with their cost; cached."""
         return self.assume()
 
     @property
     def used(self) -> int:
-        """Readings in the fit, oriented and free."""
+        """Number of readings in the fit, oriented and free."""
         return len(self.fitted) + len(self.modulus_error)
 
     @property
@@ -395,7 +395,7 @@ class Derived(HasCovariance):
 def inverse(block: Block, covariance: Floats) -> Derived:
     """Return the twelve numbers of a = N (U - U0), `INVERSE`, from a block and its covariance (12, 12).
 
-    N in g per unit of the signal, U0 in that unit. Raises `numpy.linalg.LinAlgError` when K is singular.
+    N is in g per unit of the signal, U0 in that unit. Raises `numpy.linalg.LinAlgError` when K is singular.
     """
     N = np.asarray(np.linalg.inv(block.K), dtype=np.float64)
     slopes = inverse_jacobian(N)
@@ -424,7 +424,7 @@ def misalignments(block: Block, covariance: Floats) -> Derived:
 def specific_force_covariance(derived: Derived, signal: Floats, noise: float = 0.0) -> Floats:
     """Return the covariance (n, 3, 3), g^2, of a = N (U - U0) for signals (n, 3).
 
-    Of the numbers `derived` by `inverse`, and of fresh noise in each signal, 1 sigma in its unit.
+    It combines the covariance of `derived`, from `inverse`, and independent `noise` in each signal (1 sigma).
     """
     N, U0 = derived.values[:9].reshape(3, 3), derived.values[9:]
     left = signal - U0

@@ -1,7 +1,8 @@
 """Readings over several temperatures sorted into plateaus; the coefficients as functions of temperature.
 
 A mounting is what has the same stand angles: it lasts while the installation stays the same, whatever the
-temperature does meanwhile. Where the block is mounted anew at the same temperature, the column `series` tells."""
+temperature does meanwhile. Where the block is mounted anew at the same temperature, the column `series`
+marks it."""
 
 from __future__ import annotations
 
@@ -21,13 +22,13 @@ from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.table import REFERENCE, SHORTED, UNORIENTED, VERIFICATION, JoinedPart, Readings, together
 
 PLATEAU_K: Final = 2.0
-"""Temperatures within so many kelvins are one plateau: chambers hold theirs to better than 1 K."""
+"""Widest range of a plateau, K: chambers hold theirs to better than 1 K."""
 RISING, FALLING, UNTOLD = 1, -1, 0
 
 
 @dataclass(frozen=True)
 class Plateau:
-    """One temperature as reached from one side.
+    """A temperature plateau that was reached from one side.
 
     `temperature_c` is the mean over its readings; `branch` is +1 when it was reached from below, -1 from above,
     0 when it was the first after mounting; `level` numbers the temperatures, both sides alike, from the
@@ -42,7 +43,7 @@ class Plateau:
 
 @dataclass(frozen=True)
 class ThermalReadings:
-    """The oriented rows of one table or several, and how they lie.
+    """The oriented rows of one or several tables, sorted into mountings, visits and plateaus.
 
     `mounting` (n,) numbers the mountings from 1, `visit` (n,) the stays at one temperature within a mounting
     from 0, `branch` (n,) and `level` (n,) are those of the plateau of each row.
@@ -125,7 +126,7 @@ def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
 
 
 def _walk(rows: Readings) -> tuple[Ints, Ints, Ints, Floats]:
-    """Go through the rows in order: mounting, visit, branch and the mean temperature of the visit of each."""
+    """Return mounting, visit, branch and the mean temperature of the visit for each row, in order."""
     unknown = _oriented(rows) & ~np.isfinite(rows.temperature_c)
     if np.any(unknown):
         i = int(np.argmax(unknown))
@@ -175,7 +176,7 @@ def _levels(temperature_c: Floats) -> Ints:
 
 @dataclass(frozen=True)
 class PlateauResult:
-    """A plateau by itself: its temperature, the side it was reached from (+1, -1, 0), its coefficients.
+    """The result of one plateau alone: temperature, the side it was reached from (+1, -1, 0), coefficients.
 
     `value`, `u` (12,) are None where its readings alone do not determine all twelve.
     """
@@ -189,10 +190,10 @@ class PlateauResult:
 
 @dataclass(frozen=True)
 class ThermalHysteresis(HasCovariance):
-    """Rising minus falling at the same temperature, `size` (12,) with `covariance` (12, 12).
+    """Thermal hysteresis (rising minus falling at one temperature): `size` (12,) with `covariance` (12, 12).
 
-    One size for all temperatures reached from both sides. `p` is that of all twelve together (chi-square),
-    `p_each` (12,) those of single coefficients, times twelve for the looks taken (Bonferroni).
+    One size holds for all temperatures reached from both sides. `p` is the p-value of all twelve together
+    (chi-square), `p_each` (12,) are those of single coefficients times twelve (Bonferroni).
     """
 
     size: Floats
@@ -202,9 +203,10 @@ class ThermalHysteresis(HasCovariance):
 
     @property
     def scatter(self) -> Floats:
-        """Covariance (12, 12) of the coefficients for one who does not know the side.
+        """Covariance (12, 12) of the coefficients if the side is unknown.
 
-        Half the size either way; shrunk by what the noise alone makes of it (its chi-square is twelve).
+        It is half the size either way, reduced by the part that noise alone explains (its chi-square is
+        twelve).
         """
         chi2 = float(self.size @ np.linalg.solve(self.covariance, self.size))
         real = max(1.0 - len(self.size) / chi2, 0.0) if chi2 > 0 else 0.0
@@ -226,12 +228,14 @@ class Compensated:
 
 @dataclass(frozen=True)
 class TemperatureModel:
-    """Coefficient j at temperature T is the sum over d of `values[j, d]` (T - `reference_c`)^d.
+    """Polynomials of the coefficients in temperature.
+
+    Coefficient j at temperature T is the sum over d of `values[j, d]` (T - `reference_c`)^d.
 
     `values` (12, D + 1) in unit/g/K^d and unit/K^d, zero above `degrees` (12,); `covariance`
-    (12 (D + 1), 12 (D + 1)) of `values` row after row: a term that was left out has a part in it, the doubt about
-    leaving it out. Valid from `minimum_c` to `maximum_c`. `fitted` tells the fit from the noise,
-    `curve` the polynomials from coefficients free at each plateau (None where plateaus alone do not
+    (12 (D + 1), 12 (D + 1)) of `values` row after row: it includes the doubt about terms that
+    were left out. Valid from `minimum_c` to `maximum_c`. `fitted` tests the fit against the noise,
+    `curve` the polynomials against coefficients free at each plateau (None where plateaus alone do not
     determine them).
     """
 
@@ -272,7 +276,7 @@ class TemperatureModel:
         return covariance if self.hysteresis is None else covariance + self.hysteresis.scatter
 
     def outside(self, temperature_c: float | Floats) -> Mask:
-        """Whether temperatures lie outside the valid range: no reading stands behind the polynomial there."""
+        """Return whether temperatures lie outside the valid range, where no reading supports it."""
         t = np.asarray(temperature_c, dtype=np.float64)
         return ~((t >= self.minimum_c) & (t <= self.maximum_c))
 
@@ -281,9 +285,9 @@ class TemperatureModel:
     ) -> Compensated:
         """Return the specific forces for signals (n, 3) measured at temperatures (n,) or one for all.
 
-        The covariance is that of the coefficients, of hysteresis, and of a thermometer whose error against that of
-        the calibration is `u_temperature_k` (K, 1 sigma); noise of the signals themselves is the reader's to
-        add. Raises `CalibrationError` for a temperature outside the valid range.
+        The covariance includes the coefficients, hysteresis, and the thermometer, whose error against that
+        of the calibration is `u_temperature_k` (K, 1 sigma). It excludes the noise of the signals, which the
+        caller adds. Raises `CalibrationError` for a temperature outside the valid range.
         """
         rows = np.asarray(signal, dtype=np.float64).reshape(-1, 3)
         temperature = np.broadcast_to(np.asarray(temperature_c, dtype=np.float64), (len(rows),))
@@ -319,17 +323,17 @@ MOST_STEPS: Final = 1024
 SMALL: Final = 0.1
 """The table is fine enough when its error at 1 g is below this part of the least standard uncertainty there."""
 ROUNDING: Final = 1e-12
-"""An error below this, g, is that of double precision in computing it."""
+"""Error, g, below which a table error is only the rounding of double precision."""
 LOOKS: Final = 16
-"""Temperatures looked at between two nodes."""
+"""Number of temperatures between two nodes at which the table is tested."""
 
 
 @dataclass(frozen=True)
 class TableError:
-    """The most by which the table was found to differ from the polynomials, g.
+    """Largest differences of the table from the polynomials that were found, g.
 
-    `bias` at 0 g, `per_g` in addition for each g, along any axis, both from the steps; `single` is what single
-    precision adds at any acceleration up to `reach_g`; `looks` counts the temperatures looked at.
+    `bias` is the one at 0 g, `per_g` the addition for each g, along any axis, both from the steps. `single`
+    is what single precision adds at any acceleration up to `reach_g`; `looks` counts the temperatures tested.
     """
 
     bias: float
@@ -341,7 +345,7 @@ class TableError:
 
 @dataclass(frozen=True)
 class CompensationTable:
-    """N (1/(unit/g), row after row) and U0 (unit) at temperatures `first_c` + k `step_k`, shape (nodes, 12)."""
+    """Compensation table: N (1/(unit/g)) and U0 (unit), (nodes, 12), at `first_c` + k `step_k`."""
 
     first_c: float
     step_k: float
@@ -359,7 +363,7 @@ class CompensationTable:
         return np.asarray(self.first_c + self.step_k * np.arange(self.nodes), dtype=np.float64)
 
     def specific_force(self, signal: Floats, temperature_c: Floats) -> Singles:
-        """Return specific forces (n, 3) in g as a computer with single precision finds them."""
+        """Return specific forces (n, 3) in g, computed from the table in single precision."""
         single = np.float32
         place = (temperature_c.astype(single) - single(self.first_c)) * single(1.0 / self.step_k)
         low = np.clip(place.astype(np.int64), 0, self.nodes - 2)
@@ -374,8 +378,8 @@ def make_table(model: TemperatureModel, reach_g: float, step_k: float | None = N
     """Make the table over the model's valid range, for accelerations up to `reach_g`.
 
     Without `step_k` the steps are halved until the table's error at 1 g is a tenth of the least standard
-    uncertainty of a compensated acceleration. Raises `CalibrationError` for a step that is no step, or too
-    fine, and where K is singular at a temperature.
+    uncertainty of a compensated acceleration. Raises `CalibrationError` for an invalid or too fine
+    step, and where K is singular at a temperature.
     """
     low, high = model.minimum_c, model.maximum_c
     span = high - low
@@ -449,7 +453,7 @@ def _by_rounding(
 
 
 def _least_u(model: TemperatureModel) -> float:
-    """Least standard uncertainty of a compensated acceleration of 1 g along an axis, over the range."""
+    """Return the least standard uncertainty of a compensated acceleration of 1 g along an axis."""
     least = np.inf
     for t in np.linspace(model.minimum_c, model.maximum_c, 9):
         signal = model.block(float(t)).output(np.eye(3))
@@ -458,7 +462,7 @@ def _least_u(model: TemperatureModel) -> float:
 
 
 def approximation(table: CompensationTable) -> dict[str, float | int]:
-    """Return what the table adds in error, in g."""
+    """Return the errors, in g, that the table adds."""
     error = table.error
     return {
         "interpolation_bias_g": error.bias,
@@ -470,7 +474,7 @@ def approximation(table: CompensationTable) -> dict[str, float | int]:
 
 
 def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[str]:
-    """Return the lines that head each file: what it is, where it holds, how far it is off."""
+    """Return the head lines of each file: its content, its valid range, and its errors."""
     error = table.error
     return [
         f"Compensation of {of}",

@@ -44,7 +44,7 @@ WEAKEST: Final = 1e-3
 
 @dataclass(frozen=True)
 class ThermalProblem:
-    """Readings (n, 3), the basis functions of their rows (n, m), and the terms (12, m) that are unknown.
+    """The task of a fit: readings (n, 3), basis functions of their rows (n, m), and unknown terms (12, m).
 
     `problem` has the conditions, with a mount for each mounting, and the stand's angles; `groups` (n,)
     numbers the repeats; `floor` is the least noise believed, in the unit of the signal.
@@ -89,7 +89,7 @@ class ThermalProblem:
         return np.concatenate([by_term, by_angle], axis=2)
 
     def determined(self) -> bool:
-        """Whether the rows determine all terms, were every coefficient to have all functions of the basis."""
+        """Return whether the rows determine all terms if every coefficient has all functions of the basis."""
         force = self.force(self.problem.prior_mean)
         columns = linear_columns(force)
         whole = (columns[:, :, None] * self.basis[:, None, :]).reshape(len(force), -1)
@@ -104,10 +104,10 @@ class ThermalProblem:
 
 @dataclass(frozen=True)
 class ThermalFit:
-    """Estimates `values` (12, m), zero where a term was not fitted; `covariance` (t, t) of those that were.
+    """A fit over temperature: estimates `values` (12, m), zero for terms not fitted, and `covariance` (t, t).
 
-    The fitted terms in order of `numpy.nonzero(terms)`. `misfit` is the chi-square left, the priors' part
-    included; `residuals` and `slope` (n, 3).
+    The covariance has the fitted terms in the order of `numpy.nonzero(terms)`. `misfit` is the chi-square of
+    the residuals and of the priors; `residuals` and `slope` (n, 3).
     """
 
     values: Floats
@@ -132,7 +132,7 @@ def row_outputs(coefficients: Floats, force: Floats) -> Floats:
 
 
 def fit(task: ThermalProblem, noise: Noise | None = None) -> ThermalFit:
-    """Fit the terms; the sizes of the noise are estimated from the readings unless given."""
+    """Return the fit of the terms; the sizes of the noise are estimated from the readings unless given."""
     values, others = _first_guess(task), task.problem.prior_mean
     count = int(task.terms.sum())
     sizes = noise or _estimated_noise(task, values, others)
@@ -167,7 +167,7 @@ def _estimated_noise(task: ThermalProblem, values: Floats, others: Floats) -> No
 
 
 def _first_guess(task: ThermalProblem) -> Floats:
-    """Ordinary least squares at the nominal geometry, channel by channel."""
+    """Return the terms by ordinary least squares at the nominal geometry, channel by channel."""
     columns = linear_columns(task.force(task.problem.prior_mean))
     values = np.zeros(task.terms.shape)
     for channel in range(3):
@@ -180,24 +180,25 @@ def _first_guess(task: ThermalProblem) -> Floats:
 
 
 def judge(task: ThermalProblem, result: ThermalFit) -> LackOfFit:
-    """Compare what a fit leaves with the scatter of repeats at the same temperature (F test)."""
+    """Compare the residuals of a fit with the scatter of repeats at the same temperature (F test)."""
     return misfit_test(
         result.misfit, result.residuals, result.slope, result.noise, task.groups, int(task.terms.sum())
     )
 
 
 STAYS_P: Final = 0.05
-"""A highest term stays when chance alone would make one so large less often than this."""
+"""Significance level: a highest term is kept if chance makes one so large less often than this."""
 
 NEXT: Final = 2
-"""Terms above the degree chosen whose absence is in doubt."""
+"""Number of terms above the chosen degree whose omission counts in the uncertainty."""
 
 
 @dataclass(frozen=True)
 class DegreeChoice:
-    """Degrees (12,), and doubts (2, 12, D + 1): what each of the next two terms would change, were it let in.
+    """The chosen degrees (12,), and doubts (2, 12, D + 1): the changes if a further term were kept.
 
-    One of the two is even and one is odd in temperature. Zero where the full degree leaves none out.
+    They are given for the next two terms: one is even and one is odd in temperature. Doubts are zero if no
+    term is left out.
     """
 
     degrees: Ints
@@ -253,12 +254,12 @@ def _doubts(full: ThermalFit, highest: int, degrees: Ints) -> Floats:
 
 
 HIGHEST_DEGREE: Final = 4
-"""Of an automatic choice: what accelerometers show over their range is hardly ever of higher degree."""
+"""Highest degree of an automatic choice: accelerometers hardly ever need a higher one over their range."""
 
 
 @dataclass(frozen=True)
 class _Body:
-    """All readings with what every fit to them needs; `scale_k` is the unit of temperature inside the fits."""
+    """All readings with the data for every fit; `scale_k` is the unit of temperature inside the fits."""
 
     sorted: ThermalReadings
     problem: Problem
@@ -270,7 +271,7 @@ class _Body:
     def powers(self, degree: int, *, of_levels: bool = False) -> Floats:
         """Return powers 0…degree (n, degree + 1) of the scaled temperature, or of its mean at that level.
 
-        What wanders within a level is too little to stand for a second temperature.
+        Temperature variation within a level is too small to count as a second temperature.
         """
         rows = self.sorted
         temperature = rows.rows.temperature_c
@@ -404,7 +405,7 @@ def _highest(body: _Body, degree: int | None) -> tuple[int, bool]:
 
 
 def _in_kelvins(best: ThermalFit, choice: DegreeChoice, scale_k: float) -> tuple[Floats, Floats]:
-    """Return values (12, D + 1) and their covariance per K^d, the doubts about what was left out in it."""
+    """Return values (12, D + 1) per K^d and their covariance, with the doubts about omitted terms."""
     count = choice.doubts.shape[2]
     coefficient, function = np.nonzero(best.terms)
     own = function < count
@@ -434,9 +435,9 @@ def _hysteresis(best: ThermalFit) -> ThermalHysteresis:
 def _plateaus(
     body: _Body, best: ThermalFit, basis: Floats
 ) -> tuple[tuple[PlateauResult, ...], ThermalFit | None]:
-    """Calibrate each plateau by itself, at its mean temperature, the stand's angles common to all.
+    """Calibrate each plateau by itself at its mean temperature, with stand angles common to all.
 
-    Returns the results, and the fit to compare the polynomials with where every plateau determines its own.
+    Return the results, and the fit to compare the polynomials with where every plateau determines its own.
     """
     found = body.sorted.plateaus
     force = body.task(basis).force(best.others)

@@ -31,7 +31,7 @@ from bench.model.geometry import COEFFICIENTS, HIDDEN, STAND_ANGLES, Block
 from bench.readings.table import Readings
 
 LINEAR: Final = ("K1", "Ki_j", "Ki_k", "K0")
-"""What every tumble has: scale factor, the two cross-axis terms, bias."""
+"""The terms of every tumble: scale factor, the two cross-axis terms, bias."""
 
 HOMES: Final = {
     "K2": "quadratic_nonlinearity",
@@ -43,7 +43,7 @@ HOMES: Final = {
     "Kpp": "cross_quadratic",
     "Koo": "cross_quadratic",
 }
-"""The nonlinear terms, in the order in which they are asked for, with the effect that each is of."""
+"""The effect of each nonlinear term, in the order in which terms are requested."""
 
 DEFAULT: Final = ("K2", "K3", "Koq")
 
@@ -52,19 +52,19 @@ SHOWN: Final = 1e-3
 
 
 def parameter_of(term: str) -> Parameter:
-    """Return the parameter of an effect that a nonlinear term is."""
+    """Return the effect parameter of a nonlinear term."""
     return next(p for p in CATALOGUE[HOMES[term]].parameters if p.name == term)
 
 
 def columns(force: Floats, channel: int, terms: Sequence[str], conditions: Conditions) -> Floats:
-    """Return what E/K1 of a channel is linear in at specific forces (n, 3), g: `LINEAR`, then terms."""
+    """Return the columns of the linear model of E/K1 at specific forces (n, 3), g: `LINEAR`, then terms."""
     i, j, k = channel, (channel + 1) % 3, (channel + 2) % 3
     linear = [force[:, i], force[:, j], force[:, k], np.ones(len(force))]
     return np.column_stack([*linear, *(_nonlinear(term, force, conditions)[:, channel] for term in terms)])
 
 
 def _nonlinear(term: str, force: Floats, conditions: Conditions) -> Floats:
-    """Return a term of size 1 in all channels, (n, 3), by the effect that the simulation and the fit have."""
+    """Return a term of size 1 in all channels, (n, 3), from the effect that simulation and fit use, too."""
     effect = CATALOGUE[HOMES[term]]
     sizes = {p.name: np.full(3, float(p.name == term)) for p in effect.parameters}
     return effect.addition(sizes, Seen(force, conditions, Block(np.eye(3), np.zeros(3))))
@@ -72,10 +72,11 @@ def _nonlinear(term: str, force: Floats, conditions: Conditions) -> Floats:
 
 @dataclass(frozen=True)
 class Separable:
-    """What a channel's orientations tell of the terms asked for.
+    """The requested terms of a channel that its orientations determine.
 
-    `rank` of `asked` columns; `kept` are estimated. Each of `inseparable` shows as these parts of kept terms and is
-    not estimated: what is estimated of them contains so much of it. Empty parts: no reading shows it at all.
+    `rank` of `asked` columns; `kept` are estimated. Each term of `inseparable` acts like these
+    parts of kept terms and is not estimated: their estimates contain so much of it. A term with empty parts
+    shows in no reading.
     """
 
     channel: str
@@ -85,15 +86,15 @@ class Separable:
 
     @property
     def rank(self) -> int:
-        """How many of the terms asked for the orientations determine."""
+        """Number of requested terms that the orientations determine."""
         return len(self.kept)
 
     def part_in(self, name: str) -> dict[str, float]:
-        """Return the terms that stand in an estimate beside its own, with their shares."""
+        """Return the other terms that an estimate contains, with their shares."""
         return {term: parts[name] for term, parts in self.inseparable.items() if name in parts}
 
     def sentence(self) -> str:
-        """Say how many terms are determined, and what cannot be separated."""
+        """Return a sentence on how many terms are determined, and which cannot be separated."""
         counted = f"channel {self.channel}: {self.rank} of {len(self.asked)} terms are determined"
         told = []
         for term, parts in self.inseparable.items():
@@ -108,8 +109,8 @@ class Separable:
 def separable(force: Floats, channel: int, terms: Sequence[str], conditions: Conditions) -> Separable:
     """Judge which of `LINEAR` and the terms orientations determine, those named first before those named later.
 
-    `force` (n, 3) in g at the nominal geometry. A term counts as determined where the part of it that those before
-    it do not make up is more than `HIDDEN` of it.
+    `force` (n, 3) in g at the nominal geometry. A term counts as determined if more than the part
+    `HIDDEN` of it is independent of the terms before it.
     """
     asked = (*LINEAR, *terms)
     whole = columns(force, channel, terms, conditions)
@@ -138,15 +139,15 @@ NO_PRIOR: Final = 1.0
 K: Final = 2.0
 """Coverage factor of U."""
 MOVES: Final = 0.01
-"""What a term that is left out moves by less than this part of its size is not told."""
+"""Changes below this part of the size of an omitted term are not reported."""
 
 
 @dataclass(frozen=True)
 class Quantity:
     """One estimate of an axis in `unit`.
 
-    `u` is combined where the view is, `u_readings` what the readings and the stand as it is stated show.
-    `contains` are the terms that cannot be separated from it, with their shares. What is estimated is then the
+    `u` is combined if the view is; `u_readings` is u from the readings and the stated stand alone.
+    `contains` are the terms that cannot be separated from it, with their shares. The estimate is then the
     sum: "K3" with {"Koq": 0.59} is K3 + 0.59 Koq.
     """
 
@@ -159,7 +160,7 @@ class Quantity:
 
     @property
     def words(self) -> str:
-        """What is estimated, such as "K3 + 0.586 Koq"; of the scale factor the shares are relative."""
+        """The estimated sum, such as "K3 + 0.586 Koq"; of the scale factor the shares are relative."""
         parts = "".join(f" {'+' if c > 0 else '-'} {abs(c):.3g} {term}" for term, c in self.contains.items())
         if not parts:
             return self.name
@@ -249,7 +250,7 @@ def tumble_view(
 
 
 def _of_assumed(problem: Problem, fit: gls.Fit, through: Floats, assumed: Mapping[str, float]) -> Floats:
-    """Return the part (m, m) of the covariance that stand angles of sizes nobody stated bring in."""
+    """Return the part (m, m) of the covariance that comes from stand angles of assumed size."""
     at = [FIXED + k for k, unknown in enumerate(problem.stand) if STAND_ANGLES[unknown.column] in assumed]
     if not at:
         return np.zeros((len(through),) * 2)
@@ -258,13 +259,13 @@ def _of_assumed(problem: Problem, fit: gls.Fit, through: Floats, assumed: Mappin
 
 
 def with_terms(model: ForwardModel, terms: Sequence[str]) -> ForwardModel:
-    """Return a model with the effects that the terms are of, each once, of size zero."""
+    """Return a model with the effects of the terms, each once, of size zero."""
     homes = dict.fromkeys(HOMES[term] for term in terms)
     return replace(model, effects=tuple(AppliedEffect(CATALOGUE[home], {}) for home in homes))
 
 
 def _problem(plain: ForwardModel, whole: Problem, judged: Sequence[Separable]) -> Problem:
-    """Return the problem with those terms as unknowns that the orientations determine, and no prior on them."""
+    """Return the problem with the determined terms as unknowns, without an informative prior."""
     kept = tuple(
         replace(unknown, prior_u=NO_PRIOR, stated=False)
         for unknown in whole.effects
@@ -280,7 +281,7 @@ Row = tuple[str, float, str, Floats]
 def _quantities(
     problem: Problem, fit: gls.Fit, judged: Sequence[Separable], unit: str
 ) -> tuple[dict[str, tuple[Quantity, ...]], Floats]:
-    """Return the quantities of each channel, their u still to come, and their derivatives (m, 12 + q)."""
+    """Return the quantities of each channel, still without u, and their derivatives (m, 12 + q)."""
     rows = [list(_rows(problem, fit, own, channel, unit)) for channel, own in enumerate(judged)]
     axes = {
         own.channel: tuple(

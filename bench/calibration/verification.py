@@ -36,8 +36,8 @@ class VerificationPoint:
     """One reading at a verification point: modulus `g_p` and its error `delta_g` in local g, with u and U = k u.
 
     `accepted_up_to` is the acceptance limit of the rule there: negative where U is more than the limit, and
-    then nothing is accepted; what nothing can be said of is not `rejected` either. `p_outside` is the probability
-    that the true error is outside the limit.
+    then nothing is accepted; a value without a decision is not `rejected` either. `p_outside` is the
+    probability that the true error is outside the limit.
     """
 
     angle_deg: float
@@ -62,26 +62,26 @@ class VerificationPoint:
 
     @property
     def passed(self) -> bool:
-        """Whether the rule accepts it."""
+        """Whether the rule accepts the point."""
         return abs(self.delta_g) <= self.accepted_up_to
 
     @property
     def p_false_accept(self) -> float | None:
-        """Probability of a false acceptance, of a conditional pass that is left open, too; None of all else."""
+        """Probability of a false acceptance, also of an open conditional pass; else None."""
         left_open = self.statement is Statement.CONDITIONAL_PASS and not self.rejected
         return self.p_outside if self.passed or left_open else None
 
     @property
     def p_false_reject(self) -> float | None:
-        """Probability of a false rejection; None where it is not rejected."""
+        """Probability of a false rejection; None where the point is not rejected."""
         return 1.0 - self.p_outside if self.rejected else None
 
 
 @dataclass(frozen=True)
 class LimitToPass:
-    """The limit of |delta g| (g) that would be met, and the part of u that would meet the limit as it is.
+    """Ways to pass: the limit of |delta g| (g) that would be met, or the part of u needed.
 
-    `u_times` is None where no u is small enough; `point` lies furthest beyond what is accepted.
+    `u_times` is None where no u is small enough; `point` exceeds its acceptance limit most.
     """
 
     limit_g: float
@@ -90,7 +90,7 @@ class LimitToPass:
 
 
 def _bisected(passes: Callable[[float], bool], good: float, bad: float) -> float:
-    """Return the value next to `bad` that passes, to a thousandth of the way; `good` where none else does."""
+    """Return the value next to `bad` that passes, to a thousandth of the way, else `good`."""
     for _ in range(12):
         middle = 0.5 * (good + bad)
         good, bad = (middle, bad) if passes(middle) else (good, middle)
@@ -103,8 +103,8 @@ class Verification:
 
     `missing` counts points that were planned or written down but could not be judged: with one missing
     nothing is accepted, since (10) is demanded of every point. `covariance` (n, n) is that of delta g at the
-    points, which have the coefficients in common, `contributions` its parts by name. `population` is what is known
-    of delta g over many blocks.
+    points, which have the coefficients in common, `contributions` its parts by name. `population` is the
+    distribution of delta g over many blocks.
     """
 
     limit_g: float
@@ -127,7 +127,7 @@ class Verification:
 
     @property
     def statement(self) -> Statement:
-        """The statement on the worst of its points: one that fails cannot be made good by others."""
+        """The statement on the worst point: other points cannot compensate for one that fails."""
         found = [point.statement for point in self.points]
         found += [Statement.NOT_COMPLETE] * bool(self.missing)
         return max(found, key=list(Statement).index)
@@ -139,7 +139,7 @@ class Verification:
 
     @property
     def left_open(self) -> bool:
-        """Whether it is a conditional pass that the rule neither accepts nor rejects."""
+        """Whether the verdict is a conditional pass that the rule neither accepts nor rejects."""
         return self.statement is Statement.CONDITIONAL_PASS and not self.passed and not self.rejected
 
     @property
@@ -161,7 +161,7 @@ class Verification:
     def p_outside_worst(self) -> float:
         """Probability that the true error is outside the limit at that point where it is most probable.
 
-        With a population it is that after all points' readings, as is the one of all points together.
+        With a population it is the probability after the readings at all points, as in `p_outside`.
         """
         if self.population is None:
             return max(point.p_outside for point in self.points)
@@ -186,7 +186,7 @@ class Verification:
 
     @cached_property
     def to_pass(self) -> LimitToPass | None:
-        """What would make it pass, all else as it is; None where it passes, or points are missing."""
+        """The limit or u that would pass, all else equal; None if it passes or points are missing."""
         if self.passed or self.missing:
             return None
         u, sizes = np.array([point.u for point in self.points]), np.abs(self._errors)
@@ -205,7 +205,7 @@ class Verification:
 
     @cached_property
     def global_risk(self) -> GlobalRisk | None:
-        """What the rule does to all blocks of the population, at the point with the largest U; None without one."""
+        """Global risks of the rule over the population, at the point with the largest U; None without one."""
         if self.population is None:
             return None
         point = max(self.points, key=lambda p: p.U)
@@ -231,9 +231,9 @@ def verify(
     elsewhere measures in units of the gravity there. `covariance` (12, 12) of the coefficients and `reading_noise`
     fresh in each signal (unit of the signal; one size, or one for each channel) give u of each delta g, with
     degrees of freedom `dof`; or `joint` are the parts by name, (n, n) each, of the covariance of |a| at the
-    points, in the gravity of the coefficients. The setting of the head does not enter, the modulus does not depend
-    on it. `rule` is one of `RULES`, a rule with another guard band, or None for the default. Raises
-    `CalibrationError` when there is no verification row, K is singular or the rule is unknown.
+    points, in the gravity of the coefficients. The setting of the head does not count, since the modulus
+    does not depend on it. `rule` is one of `RULES`, a rule with another guard band, or None for the default.
+    Raises `CalibrationError` when there is no verification row, K is singular or the rule is unknown.
     """
     rows = readings.verification()
     if len(rows) == 0:
@@ -297,7 +297,7 @@ def modulus_slopes(force: Floats, block: Block) -> tuple[Floats, Floats]:
 
 
 def by_rule(statement: Statement, rule: str, *, passed: bool) -> Statement:
-    """Return a statement as its rule makes it: a binary one knows pass and fail, and nothing conditional."""
+    """Return the statement under the rule: binary rules state only pass or fail, nothing conditional."""
     conditional = statement in {Statement.CONDITIONAL_PASS, Statement.CONDITIONAL_FAIL}
     if rule == NON_BINARY or not conditional:
         return statement

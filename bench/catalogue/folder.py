@@ -1,4 +1,4 @@
-"""A run folder read for the catalogue: record, instruments, certificates, as rows of its tables."""
+"""Reading a run folder for the catalogue: record, instruments and results become rows of its tables."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Row = dict[str, Any]
 
 
 def instruments_of(bench: BenchFile | None, run: int, started: Mapping[str, Any]) -> dict[str, list[Row]]:
-    """Return rows: what answered as a run `started`, as what it was used, under which certificates."""
+    """Return rows by table: the instruments that answered when a run `started`, their uses, certificates."""
     answered = {str(k): str(v) for k, v in (started.get("instruments") or {}).items()}
     serials = {str(k): str(v).strip() for k, v in (started.get("serials") or {}).items()}
     instruments: dict[int, Row] = {}
@@ -88,12 +88,12 @@ def _certificate(stated: Any) -> Row:
 
 
 def text_of(value: Any) -> str | None:
-    """Return a text or number as text, None for all else."""
+    """Return a text or number as text; None for any other value."""
     return str(value) if isinstance(value, str | int | float) and str(value) else None
 
 
 _END: Final = b', "prev": "%s"}'
-"""How each line ends: with the hash of the one before."""
+"""The end of each line of a record: the hash of the previous line."""
 _CHANGING: Final = re.compile(rb'"type": "(run_[a-z]+)"')
 _OPENED: Final = frozenset({"run_started", "run_resumed"})
 _STEP_OF_READING: Final = re.compile(rb'"type": "step_done", "step": (\d+), [^{}\n]*"reading": \{')
@@ -102,7 +102,7 @@ _TIME: Final = re.compile(rb'"time": "([^"]{1,40})"')
 
 
 class RecordSeen:
-    """The lines of a record gone through as bytes: their chain, the run's state, which steps were read."""
+    """A record scanned as bytes, for speed: its hash chain, the run's state, and the steps that were read."""
 
     def __init__(self, folder: Path, manifest: Manifest, manifest_sha256: str) -> None:
         self.folder = folder
@@ -160,14 +160,14 @@ class RecordSeen:
 
     @property
     def proved(self) -> str:
-        """What is proved of the record."""
+        """The integrity of the record as far as it was verified."""
         if self.problem:
             return "broken"
         return ("read" if self.whole else "chain") if self.count else "none"
 
     @property
     def ended(self) -> datetime | None:
-        """Civil time of the last event of a run that is not going on."""
+        """Civil time of the last event of a run that is no longer in progress; None for other runs."""
         if self.state in (RunState.READY, RunState.RUNNING, RunState.PAUSED):
             return None
         told = _TIME.search(self._last)
@@ -181,7 +181,7 @@ class RecordSeen:
 
 
 def utc_of(text: Any) -> datetime | None:
-    """Return a civil time of a record as UTC without zone; None for what is none."""
+    """Return a civil time of a record as UTC without a time zone; None for any other value."""
     try:
         when = datetime.fromisoformat(str(text))
     except ValueError:
@@ -192,13 +192,13 @@ def utc_of(text: Any) -> datetime | None:
 CALIBRATE: Final = "calibrate.json"
 DIAGNOSE: Final = "diagnose.json"
 MOST: Final = 2**31 - 1
-"""The largest whole number that a column takes; keys are larger."""
+"""The largest whole number that an integer column can hold; keys use larger columns."""
 _KEYS: Final = frozenset({"id", "run", "instrument", "certificate"})
 
 
 @dataclass(frozen=True)
 class FolderEntry:
-    """What stands in a folder: the rows by table, or a `reason` why it is no run of the catalogue."""
+    """The content of a folder: rows by table, or the `reason` why it holds no run for the catalogue."""
 
     path: str
     fingerprint: str
@@ -207,12 +207,12 @@ class FolderEntry:
 
     @property
     def run(self) -> int | None:
-        """The key of the run, None where there is none."""
+        """The key of the run; None if the folder holds no run."""
         return self.rows["runs"][0]["id"] if self.rows else None
 
 
 def read_folder(path: str, fingerprint: str, *, whole: bool = False) -> FolderEntry:
-    """Return the rows of a run folder, or why there are none; `whole` reads every event of its record."""
+    """Return the rows of a run folder, or the reason for none; `whole` reads every event of the record."""
     try:
         rows = _rows(Path(path), whole=whole)
         return FolderEntry(
@@ -277,7 +277,7 @@ def _rows(folder: Path, *, whole: bool) -> dict[str, list[Row]]:
 
 
 def _storable(row: Row) -> Row:
-    """Return a row as every database takes it. Raises `ValueError` for a number that is too large."""
+    """Return a row in a form that every database accepts. Raises `ValueError` for too large a number."""
     for name, value in row.items():
         if isinstance(value, str) and not value.isprintable():
             row[name] = visible(value)
@@ -287,7 +287,7 @@ def _storable(row: Row) -> Row:
 
 
 def _results(folder: Path, run: int, record: RecordSeen) -> dict[str, Any]:
-    """Return the rows of what was found of a run, and under `problem` what could not be read of it."""
+    """Return the rows of a run's results; the key `problem` describes the results that cannot be read."""
     rows: dict[str, Any] = {"problem": ""}
     for name, read in ((CALIBRATE, _calibration), (f"{VERIFY}.json", _verification), (DIAGNOSE, _diagnosis)):
         try:
@@ -367,12 +367,12 @@ def _diagnosis(data: Any, run: int, record: RecordSeen) -> dict[str, list[Row]]:
 
 
 def _statement(data: Any) -> str:
-    """Return a verdict; results of versions before have no statement: they passed or failed."""
+    """Return the statement of a verdict; for results of earlier versions, which have none, pass or fail."""
     return str(data.get("statement") or ("pass" if data["passed"] else "fail"))
 
 
 def _bench_of(folder: Path) -> tuple[BenchFile | None, str | None]:
-    """Return the bench file that a run recorded, None where it cannot be read, and its SHA-256."""
+    """Return the bench file recorded with a run (None if it cannot be read) and its SHA-256."""
     file = folder / BENCH
     try:
         digest = sha256(read_regular(file))
@@ -383,7 +383,7 @@ def _bench_of(folder: Path) -> tuple[BenchFile | None, str | None]:
 
 @lru_cache(maxsize=4096)
 def _loaded(digest: str, file: str) -> BenchFile | None:
-    """Read a bench file once for all runs that recorded the same."""
+    """Return a bench file, read once for all runs that recorded an identical one."""
     try:
         return load_recorded_bench(Path(file))
     except (FileMistakes, OSError):
@@ -396,7 +396,7 @@ def _block_of(bench: BenchFile | None) -> dict[str, str | None]:
 
 
 def _bench_named(results: dict[str, Any]) -> str | None:
-    """Return the bench that a result names, where the file itself cannot be read."""
+    """Return the name of the bench in a result, for runs whose bench file cannot be read."""
     return results.get("bench")
 
 
@@ -413,12 +413,12 @@ def _packed(array: Floats) -> bytes:
 
 
 def _in_a_line(error: Exception, path: str) -> str:
-    """Return a sentence without the folder, which stands beside it."""
+    """Return the message of an error in one line, without the folder, which is shown beside it."""
     return " ".join(str(error).replace(f"{path}/", "").removeprefix(f"{path}: ").split())[:300]
 
 
 def issued_in(folder: str) -> list[Row]:
-    """Return a row for each number of a register. Raises `Refused` for one that cannot be believed or read."""
+    """Return a row for each number in a register. Raises `Refused` if it is damaged or unreadable."""
     register = Register(Path(folder))
     try:
         register.read_lines()

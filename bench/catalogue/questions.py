@@ -1,10 +1,10 @@
 """Questions to the catalogue, and their answers as tables.
 
-A question is words KEY=VALUE, such as `unit=17-042 meter=MY53200001 after=2026-05-03 simulated=no`, all of which
-have to hold; `!=` is all else, unknown included. Sizes and times take
-`<`, `<=`, `>` and `>=`, too. In a value `*` stands for any text; the value `none` is what nobody recorded.
-`after=2026-05-03` is from the beginning of that day (UTC) on, `before=` until its beginning. Values go into
-statements as parameters, never as text.
+A question consists of words KEY=VALUE, such as `unit=17-042 meter=MY53200001 after=2026-05-03 simulated=no`.
+A run must satisfy all of them. `!=` selects every other value, including unknown ones. Sizes and times also
+accept `<`, `<=`, `>` and `>=`. In a value `*` matches any text; the value `none` matches values that were not
+recorded. `after=2026-05-03` means from the beginning of that day (UTC) on, `before=` until its beginning.
+Values are passed to the database as parameters, never as SQL text.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from bench.services.errors import Refused
 
 Condition = ColumnElement[bool]
 Build = Callable[[str, str], Condition]
-"""Makes a condition of an operator and a value. Raises `ValueError` that says what was expected."""
+"""A function that returns the condition for an operator and a value, or raises `ValueError`."""
 
 NONE: Final = "none"
 _WORD: Final = re.compile(r"([a-z_]+)(!=|>=|<=|=|>|<)(.*)", re.DOTALL)
@@ -53,14 +53,14 @@ _VERDICTS: Final[Mapping[str, str]] = {"passed": "pass", "failed": "fail"}
 
 @dataclass(frozen=True)
 class Key:
-    """A key of questions: what it means, in words, and how it becomes a condition."""
+    """A key of questions: its meaning in words, and the function that builds its condition."""
 
     meaning: str
     build: Build
 
 
 def condition_of(query: Sequence[str]) -> Condition:
-    """Return the condition on `RUNS` of a question. Raises `Refused` with every word that is none."""
+    """Return the SQL condition on `RUNS` for a question. Raises `Refused` with all invalid words."""
     conditions: list[Condition] = []
     mistakes = []
     for word in query:
@@ -82,9 +82,9 @@ def condition_of(query: Sequence[str]) -> Condition:
 
 
 def run_folders(catalogue: Catalogue, query: Sequence[str]) -> list[Path]:
-    """Return the folders of the runs that a question names, oldest first, without those that are gone.
+    """Return the existing folders of the runs that satisfy a question, oldest first.
 
-    Raises `Refused` for a question that is none.
+    Raises `Refused` for an invalid question.
     """
     asked = select(RUNS.c.path).where(condition_of(query), ~RUNS.c.vanished)
     with catalogue.reading() as connection:
@@ -96,7 +96,7 @@ def run_folders(catalogue: Catalogue, query: Sequence[str]) -> list[Path]:
 
 
 def _like(column: ColumnElement[Any], value: str) -> Condition:
-    """Return whether a text is `value`, where `*` stands for any text."""
+    """Return the condition that a text equals `value`, in which `*` matches any text."""
     if value == NONE:
         return column.is_(None)
     if "*" not in value:
@@ -106,7 +106,7 @@ def _like(column: ColumnElement[Any], value: str) -> Condition:
 
 
 def _signed(operator: str, condition: Condition) -> Condition:
-    """Return a condition, or that it does not hold. Raises `ValueError` for an operator of sizes."""
+    """Return a condition for `=`, its negation for `!=`. Raises `ValueError` for any other operator."""
     if operator == "=":
         return condition
     if operator == "!=":
@@ -115,7 +115,7 @@ def _signed(operator: str, condition: Condition) -> Condition:
 
 
 def _text(*columns: ColumnElement[Any]) -> Build:
-    """Make a key of texts: any of the columns is the value."""
+    """Return the builder for a text key: at least one of the columns must equal the value."""
 
     def build(operator: str, value: str) -> Condition:
         return _signed(operator, or_(*(_like(column, value) for column in columns)))
@@ -124,7 +124,7 @@ def _text(*columns: ColumnElement[Any]) -> Build:
 
 
 def _among(table: Table, condition: Callable[[str], Condition]) -> Build:
-    """Make a key of what belongs to a run in another table: some row of its satisfies the condition."""
+    """Return the builder for a key on another table: a row of the run there must satisfy the condition."""
 
     def build(operator: str, value: str) -> Condition:
         wanted = ~_row_of(table) if value == NONE else _row_of(table, condition(value))
@@ -134,14 +134,14 @@ def _among(table: Table, condition: Callable[[str], Condition]) -> Build:
 
 
 def _row_of(table: Table, *conditions: Condition) -> Condition:
-    """Return whether a run has a row in a table that satisfies conditions."""
+    """Return the condition that a run has a row in a table that satisfies all `conditions`."""
     if conditions:  # by the index of what is asked for, and not run by run
         return RUNS.c.id.in_(select(table.c.run).where(*conditions).correlate(None))
     return exists(select(table.c.run).where(table.c.run == RUNS.c.id).correlate(RUNS))
 
 
 def _size(column: ColumnElement[Any], table: Table | None = None) -> Build:
-    """Make a key of sizes, in the unit that the column has."""
+    """Return the builder for a numerical key; values are in the unit of the column."""
 
     def build(operator: str, value: str) -> Condition:
         try:
@@ -180,7 +180,7 @@ def _whether(column: ColumnElement[Any]) -> Build:
 
 
 def _time(fixed: str | None = None) -> Build:
-    """Make a key of the time at which a run began."""
+    """Return the builder for a key on the start time of a run."""
 
     def build(operator: str, value: str) -> Condition:
         if fixed and operator != "=":
@@ -191,7 +191,7 @@ def _time(fixed: str | None = None) -> Build:
 
 
 def moment(text: str) -> datetime:
-    """Return a day (its beginning, UTC) or a time as UTC without zone. Raises `ValueError`."""
+    """Return a time, or the beginning of a day (UTC), as UTC without a zone. Raises `ValueError`."""
     try:
         when = datetime.fromisoformat(text)
     except ValueError:
@@ -275,7 +275,7 @@ KEYS: Final[Mapping[str, Key]] = {
     "readings": Key("how many readings it has", _size(RUNS.c.readings)),
     "temperature": Key("mean of the readings, °C", _size(RUNS.c.temperature_c)),
 }
-"""What may be asked for, in the order in which it is told."""
+"""The keys of questions, in the order in which help lists them."""
 
 
 # --- answers ------------------------------------------------------------------------------------------
@@ -283,7 +283,7 @@ KEYS: Final[Mapping[str, Key]] = {
 
 @dataclass(frozen=True)
 class AnswerTable:
-    """A table: the names of its columns, its rows (None where nothing was recorded)."""
+    """An answer as a table: column names and rows, with None for values that were not recorded."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[Any, ...], ...]
@@ -292,7 +292,7 @@ class AnswerTable:
         return len(self.rows)
 
     def mappings(self) -> list[dict[str, Any]]:
-        """Return the rows by column; times in ISO 8601, UTC."""
+        """Return each row as a mapping from column to value; times are in ISO 8601, UTC."""
         return [dict(zip(self.columns, map(_in_json, row), strict=True)) for row in self.rows]
 
     def result(self, query: Sequence[str], of: str) -> AskResult:
@@ -300,7 +300,7 @@ class AnswerTable:
         return AskResult(query=list(query), of=of, count=len(self), rows=self.mappings())
 
     def write_csv(self, file: Path) -> None:
-        """Write the table as CSV (RFC 4180); what a spreadsheet would take for a formula has a ' before it."""
+        """Write the table as CSV (RFC 4180). A ' precedes texts that a spreadsheet would run as formulas."""
         text = io.StringIO()
         writer = csv.writer(text)
         writer.writerow(self.columns)
@@ -322,9 +322,9 @@ class AnswerTable:
 
 
 def answer(catalogue: Catalogue, query: Sequence[str], of: str = "runs") -> AnswerTable:
-    """Return the runs that a question names, or what `of` says of them (see `KINDS`).
+    """Return the runs that satisfy a question, or the table of kind `of` about them (see `KINDS`).
 
-    Raises `Refused` for a question that is none.
+    Raises `Refused` for an invalid question.
     """
     if of not in KINDS:
         raise Refused(f"--of {of}: known are {', '.join(KINDS)}")
@@ -368,7 +368,7 @@ def _coefficients(asked: Condition) -> Select[Any]:
 
 
 def _unpacked(found: AnswerTable) -> AnswerTable:
-    """Return the table with each coefficient and its u in a column of its own."""
+    """Return the table with a separate column for each coefficient and each u."""
     size = len(COEFFICIENTS)
     rows = []
     for row in found.rows:

@@ -1,7 +1,8 @@
 """The catalogue's database, SQLite or PostgreSQL: where it is, its tables, and how an older one is made anew.
 
-What nobody recorded is NULL; times are UTC; sizes are SI with the unit in the name. A row's key comes from what the
-row describes (the hash of `run.json`, an instrument's identity …), so that any number of programs, in any order and
+Values that were not recorded are NULL; times are UTC; sizes are SI with the unit in the name. A row's key is
+derived from the object it describes (the hash of
+`run.json`, an instrument's identity …), so that any number of programs, in any order and
 in any database, write the same rows. Arrays are float64, little-endian, row by row.
 """
 
@@ -46,12 +47,12 @@ if TYPE_CHECKING:
     from sqlalchemy import ColumnElement, Connection, Engine
 
 SCHEMA: Final = 4
-"""Number of the tables below: it rises with every change of them, and an older catalogue is then made anew."""
+"""Version of the tables below. Every change of them increments it; an older catalogue is then rebuilt."""
 
 METADATA: Final = MetaData()
 
 ABOUT: Final = Table("catalogue", METADATA, Column("schema", Integer, primary_key=True))
-"""The number of the schema."""
+"""The table that holds the version of the schema."""
 
 FOLDERS: Final = Table(
     "folders",
@@ -62,7 +63,7 @@ FOLDERS: Final = Table(
     Column("reason", Text),
     Column("vanished", Boolean, nullable=False),
 )
-"""Every folder seen that is a run, or should be one: of which run, or why of none; `fingerprint` of its files."""
+"""Folders that are or should be runs: the key of the run or the reason for none; `fingerprint` of files."""
 
 RUNS: Final = Table(
     "runs",
@@ -93,7 +94,7 @@ RUNS: Final = Table(
     Column("record", Text, nullable=False),
     Column("problem", Text),
 )
-"""Runs: `record` is what the chain of hashes proves (`bench.catalogue.folder`), `problem` what is wrong."""
+"""Runs: `record` is the state of the hash chain (see `bench.catalogue.folder`), `problem` its defect."""
 
 INSTRUMENTS: Final = Table(
     "instruments",
@@ -103,7 +104,7 @@ INSTRUMENTS: Final = Table(
     Column("driver", Text),
     Column("serial", Text, index=True),
 )
-"""Instruments: `name` is maker, model and serial number where that is known, else what answered, and where."""
+"""Instruments: `name` is maker, model and serial number if known, else the answer and the address."""
 
 CERTIFICATES: Final = Table(
     "certificates",
@@ -127,7 +128,7 @@ USES: Final = Table(
     Column("answered", Text),
     Column("resource", Text),
 )
-"""Which run used which instrument as what (`voltmeter.x`, `head` …), under which certificate; what it answered."""
+"""Uses: run, instrument, role (`voltmeter.x`, `head` …), certificate, and the instrument's answer."""
 
 CALIBRATIONS: Final = Table(
     "calibrations",
@@ -160,7 +161,7 @@ VERIFICATIONS: Final = Table(
     Column("worst_delta_g", Float),
     Column("missing", Integer),
 )
-"""Verdicts of `verify.json`; of all points the largest Δg, in local g, with its sign."""
+"""Verdicts of `verify.json`, with the Δg of largest magnitude of all points, signed, in local g."""
 
 POINTS: Final = Table(
     "points",
@@ -195,7 +196,7 @@ ISSUED: Final = Table(
     Column("run", Text),
     Column("head", Text, index=True),
 )
-"""Certificates that this laboratory issued, as its registers tell: of which run, by name and head of its record."""
+"""Certificates that this laboratory issued, from its registers; runs by name and head of the record."""
 
 DUES: Final = Table(
     "dues",
@@ -204,10 +205,10 @@ DUES: Final = Table(
     Column("asked", Text, primary_key=True),
     Column("told", Text, nullable=False),
 )
-"""When units are due, as it was reckoned for a limit and an interval (`bench.catalogue.unit`), in JSON."""
+"""Cached due dates of units (JSON) for a limit and an interval, see `bench.catalogue.unit`."""
 
 OF_A_RUN: Final = (USES, CALIBRATIONS, VERIFICATIONS, POINTS, DIAGNOSES)
-"""Tables whose rows belong to a run, and are made anew when it is read again."""
+"""Tables whose rows belong to a run and are replaced when the run is read again."""
 
 Index("ix_runs_unit_created", RUNS.c.unit, RUNS.c.created)
 # what counts runs reads these alone
@@ -218,7 +219,7 @@ Index("ix_verifications_verdict_run", VERIFICATIONS.c.verdict, VERIFICATIONS.c.r
 
 
 def key_of(*words: str) -> int:
-    """Return the key, 63 bits, of what such words name."""
+    """Return the key (63 bits) of the object that the words identify."""
     digest = hashlib.sha256("\x1f".join(words).encode("utf-8", "surrogatepass")).digest()
     return int.from_bytes(digest[:8], "big") >> 1
 
@@ -231,10 +232,10 @@ REGISTER: Final = "register.jsonl"
 VARIABLE: Final = "TRIAXIAL_BENCH_CATALOGUE"
 FILE: Final = "catalogue.sqlite"
 BUSY_MS: Final = 120_000
-"""How long another program's turn is waited for."""
+"""Longest time (ms) to wait while another program writes."""
 
 _TURN: Final = 0x7472_6961
-"""The lock of a PostgreSQL database by which programs write into it one after the other."""
+"""Number of the advisory lock by which programs write to a PostgreSQL database one at a time."""
 _WRITES: Final = "writes"
 
 
@@ -242,7 +243,7 @@ _WRITES: Final = "writes"
 class Catalogue:
     """An open catalogue. `where` names it, without a password; `engine` speaks to the database.
 
-    `renewed` says so where an older catalogue was made anew.
+    `renewed` is a sentence if an older catalogue was rebuilt.
     """
 
     engine: Engine
@@ -251,18 +252,18 @@ class Catalogue:
 
     @property
     def is_file(self) -> bool:
-        """Whether it is a file (SQLite), and no server's."""
+        """Whether the catalogue is a file (SQLite) and not on a server."""
         return self.engine.dialect.name == "sqlite"
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
-        """Give a connection that sees one state of the catalogue. Raises `Refused` where the database fails."""
+        """Yield a connection that sees one consistent state. Raises `Refused` where the database fails."""
         with _refusing(self.where), self.engine.connect() as connection:
             yield connection
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
-        """Give a connection of which all is written at the end, or nothing. One program at a time has it."""
+        """Yield a connection whose changes are committed together at the end. Programs write in turn."""
         writer = self.engine.execution_options(**{_WRITES: True})
         with _refusing(self.where), writer.begin() as connection:
             if not self.is_file:
@@ -270,7 +271,7 @@ class Catalogue:
             yield connection
 
     def close(self) -> None:
-        """Let the database go."""
+        """Close the connections to the database."""
         self.engine.dispose()
 
     def __enter__(self) -> Catalogue:
@@ -309,7 +310,7 @@ def open_catalogue(
 
 
 def _url(named: str) -> Any:
-    """Return the URL of a database; a file's name is one of SQLite."""
+    """Return the URL of a database; a file name becomes a URL of SQLite."""
     from sqlalchemy import URL, make_url
     from sqlalchemy.exc import ArgumentError
 
@@ -339,7 +340,7 @@ def _connect_args(kind: str) -> dict[str, Any]:
 
 
 def _prepare_file(file: Path, *, existing: bool) -> None:
-    """Make the folder of the file; refuse what is none, or is missing where it has to be there."""
+    """Create the folder of the file. Raises `Refused` for no file, or for a missing one that must exist."""
     if file.is_dir():
         raise Refused(f"{file}: is a folder; name a file for the catalogue")
     if existing and not file.is_file():
@@ -351,7 +352,7 @@ def _prepare_file(file: Path, *, existing: bool) -> None:
 
 
 def _listen(engine: Engine) -> None:
-    """Begin what writes into a file as a writer, so that two of them wait for each other and none fails."""
+    """Make write transactions take the write lock at their start, so that writers wait and do not fail."""
     from sqlalchemy import event
 
     if engine.dialect.name != "sqlite":
@@ -378,7 +379,7 @@ def _listen(engine: Engine) -> None:
 
 
 def _take_up_wal(connection: Any) -> None:
-    """Have a file keep a write-ahead log; where several programs make it at once, SQLite refuses without a wait."""
+    """Switch a file to a write-ahead log; retry, as SQLite fails at once if several programs do this."""
     until = time.monotonic() + BUSY_MS / 1e3
     while True:
         try:
@@ -392,7 +393,7 @@ def _take_up_wal(connection: Any) -> None:
 
 
 def _with_tables(catalogue: Catalogue, *, renew: bool) -> Catalogue:
-    """Return a catalogue whose tables are those of this program; one program at a time makes them."""
+    """Return a catalogue with the tables of this program; one program at a time creates them."""
     with catalogue.reading() as connection:
         if _schema_of(connection) == SCHEMA:
             return catalogue
@@ -420,7 +421,7 @@ def _with_tables(catalogue: Catalogue, *, renew: bool) -> Catalogue:
 
 
 def _schema_of(connection: Connection) -> int | None:
-    """Return the number of the schema; 0 for tables of a catalogue without a number, None for no catalogue."""
+    """Return the version of the schema; 0 for a catalogue without a version, None for no catalogue."""
     there = set(inspect(connection).get_table_names())
     if ABOUT.name in there:
         return int(connection.execute(select(ABOUT.c.schema)).scalar_one())
@@ -433,10 +434,10 @@ def _make_tables(connection: Connection) -> None:
 
 
 def _renew(connection: Connection) -> str:
-    """Replace the tables of an older catalogue by those of today, for a sync to fill; say so in a sentence.
+    """Replace the tables of an older catalogue by current ones, for a sync to fill; return a sentence on it.
 
-    Of runs that can be read again only the folders are kept, so that a sync finds them. Runs and registers whose
-    folders are gone keep their rows, as far as the new tables have columns for them.
+    For runs that can be read again only the folders are kept, so that a sync finds them. Runs and registers
+    whose folders are gone keep their rows, as far as the new tables have columns for them.
     """
     before = MetaData()
     before.reflect(connection, only=lambda name, _: name in {*METADATA.tables, "alembic_version"})
@@ -467,14 +468,14 @@ def _renew(connection: Connection) -> str:
 
 
 def forget_dues(connection: Connection, changed: ColumnElement[bool]) -> None:
-    """Forget when units are due whose runs change; `changed` is a condition on runs."""
+    """Delete the cached due dates of units whose runs change; `changed` is a condition on runs."""
     units = select(RUNS.c.unit).where(changed)
     connection.execute(delete(DUES).where(DUES.c.unit.in_(units)))
 
 
 @contextmanager
 def _refusing(where: str) -> Iterator[None]:
-    """Say in a sentence what a database refused."""
+    """Turn a database error into `Refused` with a sentence."""
     from sqlalchemy.exc import DBAPIError, OperationalError
 
     try:

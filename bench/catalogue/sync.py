@@ -1,9 +1,9 @@
-"""Run folders taken into the catalogue: what is new or changed is read, what is gone is marked.
+"""Synchronisation of the catalogue with run folders: new or changed ones are read, vanished ones marked.
 
-The folders stay the truth: a catalogue that is deleted is made again from them. Folders are read by processes of
-their own; rows are written in batches, each there whole or not at all, so that a sync that is ended goes on where
-it was with the next, and two at once lose nothing. A row's key is drawn from what it stands for: a folder that was
-moved or renamed brings the same run, a copy beside it is told and counts once.
+The folders are authoritative: a deleted catalogue is rebuilt from them. Folders are read by processes of
+their own. Rows are written in atomic batches, so that the next sync continues an interrupted one, and two
+at once lose nothing. A row's key is derived from the object it describes: a folder that was moved or renamed
+gives the same run; a copy beside it is reported and counts once.
 """
 
 from __future__ import annotations
@@ -50,26 +50,26 @@ if TYPE_CHECKING:
 _T = TypeVar("_T")
 
 BATCH: Final = 1000
-"""Folders that are written at once."""
+"""Number of folders written in one transaction."""
 CHUNK: Final = 50
-"""Folders that a process is given at once."""
+"""Number of folders handed to a process at once for reading."""
 FEW: Final = 300
-"""So few folders are read in this process: starting others takes longer."""
+"""Up to this many folders are read in this process, because starting others would take longer."""
 MANY: Final = 20_000
-"""Where more folders wait to be looked into, processes of their own look."""
+"""If more folders than this wait to be scanned, separate processes scan them."""
 LOOKED: Final = 5000
-"""Folders that such a process is given at once."""
+"""Number of folders handed to a scanning process at once."""
 ENDED: Final = "a process that read run folders was ended; sync again: it goes on where it was"
 _COPY, _COUNTED = "a copy of ", ": counted once"
 MOST_IN: Final = 5000
-"""Keys in one condition; SQLite takes 32,766, PostgreSQL 65,535."""
+"""Largest number of keys in one condition; SQLite allows 32,766 parameters, PostgreSQL 65,535."""
 
 
 @dataclass
 class Synced:
-    """What a sync did, in folders: `added` runs, `changed`, `unchanged`, `moved`, `vanished`; and what is wrong.
+    """The result of a sync: counts of folders `added`, `changed`, `unchanged`, `moved`, `vanished`; problems.
 
-    `problems` are folders that hold no run of the catalogue, and runs that cannot be believed, with the reason.
+    `problems` lists folders without a usable run and runs with a damaged record, each with the reason.
     """
 
     added: int = 0
@@ -80,7 +80,7 @@ class Synced:
     problems: dict[str, str] = field(default_factory=dict)
 
     def result(self, catalogue: str) -> SyncResult:
-        """Return it as the result of a sync of `catalogue`."""
+        """Return the result object of a sync of `catalogue`."""
         told = [FolderProblem(path=path, reason=why) for path, why in sorted(self.problems.items())]
         return SyncResult(**{**vars(self), "catalogue": catalogue, "problems": told})
 
@@ -88,10 +88,11 @@ class Synced:
 def sync(
     catalogue: Catalogue, folders: Sequence[str | Path], *, whole: bool = False, processes: int | None = None
 ) -> Synced:
-    """Take the run folders below `folders` into a catalogue, at any depth; return what was done.
+    """Synchronise a catalogue with the run folders below `folders`, at any depth; return the counts.
 
-    `whole` reads every event of every record, of those that were not read so before; `processes` read folders, as
-    many as there are cores unless stated. Raises `Refused` where a folder cannot be read, or the database fails.
+    `whole` reads every event of records that were not read fully before. `processes` is the number of reading
+    processes, by default that of the cores. Raises `Refused` where a folder cannot be read, or
+    the database fails.
     """
     roots = _roots(folders)
     count = os.cpu_count() or 1 if processes is None else processes
@@ -136,7 +137,7 @@ def sync(
 
 
 def _orphaned(row: Row) -> bool:
-    """Whether a folder was a copy of one that is gone."""
+    """Whether a folder is a copy of a run folder that is gone."""
     reason = row["reason"] or ""
     original = reason.removeprefix(_COPY).removesuffix(_COUNTED)
     return reason.startswith(_COPY) and not Path(original, MANIFEST).exists()
@@ -175,7 +176,7 @@ def _seen(roots: Sequence[str], processes: int) -> WalkResult:
 
 
 def _look_apart(seen: WalkResult, waiting: list[Place], now_ns: int, processes: int) -> None:
-    """Look into many folders by processes, and in this one meanwhile."""
+    """Scan many folders in other processes and in this one; add the findings to `seen`."""
     parts = list(_batches(waiting, LOOKED))
     with pool_of(processes - 1, ENDED) as pool:
         asked = [pool.submit(scan_all, part, now_ns) for part in parts]
@@ -197,14 +198,14 @@ def _is_text(path: str) -> bool:
 
 
 def _unread(connection: Connection) -> set[str]:
-    """Return the folders of runs that were lost with an older catalogue and can be read again."""
+    """Return the folders whose runs were dropped with an older schema and can be read again."""
     missing = FOLDERS.c.run.is_not(None) & FOLDERS.c.run.not_in(select(RUNS.c.id))
     paths = connection.execute(select(FOLDERS.c.path).where(missing)).scalars()
     return {path for path in paths if Path(path, MANIFEST).exists()}
 
 
 def _known(connection: Connection, roots: Sequence[str], unread: set[str]) -> dict[str, Row]:
-    """Return what the catalogue has of the folders below `roots` and of those in `unread`, by path."""
+    """Return the catalogue's rows on the folders below `roots` and in `unread`, by path."""
     heads = tuple(root.rstrip(os.sep) + os.sep for root in roots)
     names = FOLDERS.columns.keys()
     rows = (dict(zip(names, row, strict=True)) for row in connection.execute(select(FOLDERS)))
@@ -216,12 +217,12 @@ def _known(connection: Connection, roots: Sequence[str], unread: set[str]) -> di
 
 
 def _proved(connection: Connection) -> set[int]:
-    """Return the runs of which every event was read."""
+    """Return the keys of the runs whose every event was read."""
     return set(connection.execute(select(RUNS.c.id).where(RUNS.c.record == "read")).scalars())
 
 
 def _read(waiting: list[tuple[str, str]], whole: bool, processes: int) -> Iterator[FolderEntry]:
-    """Yield what stands in folders, in their order; few are read here, many by processes."""
+    """Yield the contents of folders in their order; many folders are read by other processes."""
     if len(waiting) <= FEW or processes < 2:
         for path, mark in tracked(waiting, "reading runs"):
             yield read_folder(path, mark, whole=whole)
@@ -248,7 +249,7 @@ def _batches(parts: Iterable[_T], size: int) -> Iterator[list[_T]]:
 
 
 def _write(connection: Connection, batch: list[FolderEntry], known: dict[str, Row], done: Synced) -> None:
-    """Write what was found in a batch of folders."""
+    """Write the contents of a batch of folders to the catalogue, and count them in `done`."""
     places = _places(connection, [found.run for found in batch if found.run is not None])
     rows: dict[str, list[Row]] = {table.name: [] for table in (INSTRUMENTS, CERTIFICATES, RUNS, *OF_A_RUN)}
     folders, left, runs = [], [], []
@@ -297,7 +298,7 @@ def _write(connection: Connection, batch: list[FolderEntry], known: dict[str, Ro
 
 
 def _places(connection: Connection, runs: list[int]) -> dict[int, str]:
-    """Return where runs are, by the catalogue."""
+    """Return the path of each run according to the catalogue."""
     found: dict[int, str] = {}
     for some in _batches(runs, MOST_IN):
         rows = connection.execute(select(RUNS.c.id, RUNS.c.path).where(RUNS.c.id.in_(some)))
@@ -311,13 +312,13 @@ def _delete(connection: Connection, table: Table, column: Any, keys: list[Any]) 
 
 
 def _forget(connection: Connection, runs: list[int]) -> None:
-    """Forget when the units of runs are due."""
+    """Delete the cached due dates of the units of runs."""
     for some in _batches(runs, MOST_IN):
         forget_dues(connection, RUNS.c.id.in_(some))
 
 
 def _upsert(connection: Connection, table: Table, rows: list[Row]) -> None:
-    """Write rows over those of the same keys; of several rows of one key the last counts."""
+    """Insert rows, replacing rows with the same keys. Of several rows with one key the last is kept."""
     if not rows:
         return
     if connection.dialect.name == "sqlite":
@@ -333,7 +334,7 @@ def _upsert(connection: Connection, table: Table, rows: list[Row]) -> None:
 
 
 def _put_back(connection: Connection, rows: list[Row]) -> None:
-    """Mark folders, and their runs, as there again."""
+    """Mark folders and their runs as present again."""
     for row in rows:
         forget_dues(connection, RUNS.c.path == row["path"])
         connection.execute(update(FOLDERS).where(FOLDERS.c.path == row["path"]).values(vanished=False))
@@ -349,7 +350,7 @@ def _mark_odd(connection: Connection, odd: dict[str, str]) -> None:
 
 
 def _write_registers(connection: Connection, registers: Sequence[str], done: Synced) -> None:
-    """Write what registers hold anew; one that cannot be believed is told, and what was known of it stays."""
+    """Replace the rows of registers. A damaged one is reported as a problem, and its old rows stay."""
     for folder in registers:
         try:
             rows = issued_in(folder)
@@ -364,7 +365,7 @@ def _write_registers(connection: Connection, registers: Sequence[str], done: Syn
 
 
 def _mark_vanished(connection: Connection, rows: list[Row]) -> int:
-    """Mark runs whose folder is gone, or take them from a copy; forget folders that held none. Return how many."""
+    """Mark runs whose folder is gone; delete rows of copies and folders without a run. Return the count."""
     count = 0
     for row in rows:
         if row["run"] is None or (row["reason"] or "").startswith(_COPY):
@@ -381,25 +382,25 @@ def _mark_vanished(connection: Connection, rows: list[Row]) -> int:
 
 MOST_DEEP: Final = 12
 SETTLED_NS: Final = 2_000_000_000
-"""Files changed less than this ago may change once more without their times showing it: they are read again."""
+"""Files changed less than this ago are read again: a further change might leave their times the same."""
 _READ: Final = (".json", ".jsonl", ".yaml", ".csv")
-"""Endings of what a catalogue reads in a run folder."""
+"""Suffixes of the files that the catalogue reads in a run folder."""
 _NAME: Final = attrgetter("name")
 Place = tuple[str, int]
-"""A folder that waits to be looked into, and how deep it is."""
+"""A folder still to be scanned, and its depth."""
 
 
 @dataclass(frozen=True)
 class WalkResult:
-    """What a walk found: run folders with the fingerprints of their files, folders that should be runs with why
-    they are none, registers, and folders that cannot be entered, with why."""
+    """The findings of a walk: run folders with the fingerprints of their files, folders that should be runs
+    and the reason why they are not, registers, and folders that cannot be entered, with the reason."""
 
     runs: dict[str, str] = field(default_factory=dict)
     odd: dict[str, str] = field(default_factory=dict)
     registers: list[str] = field(default_factory=list)
 
     def take(self, other: WalkResult) -> None:
-        """Add what another walk found."""
+        """Add the findings of another walk."""
         self.runs.update(other.runs)
         self.odd.update(other.odd)
         self.registers.extend(other.registers)
@@ -456,7 +457,7 @@ def _folders(entries: list[os.DirEntry[str]]) -> Iterator[os.DirEntry[str]]:
 
 
 def fingerprint(entries: list[os.DirEntry[str]], now_ns: int) -> str:
-    """Return a hash of names, sizes and times of the files of a run; empty where they may yet change unseen."""
+    """Return a hash of names, sizes and times of a run's files; empty if a change could go unnoticed."""
     parts, newest = [], 0
     for entry in sorted(entries, key=_NAME):
         name = entry.name
@@ -478,7 +479,7 @@ def fingerprint(entries: list[os.DirEntry[str]], now_ns: int) -> str:
 
 @contextmanager
 def pool_of(processes: int, when_ended: str) -> Iterator[ProcessPoolExecutor]:
-    """Give processes. Raises `Refused` with the words `when_ended` where one of them was ended from outside."""
+    """Yield a process pool. Raises `Refused` with `when_ended` if a process was ended from outside."""
     pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
     try:
         yield pool

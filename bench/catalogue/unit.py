@@ -32,18 +32,18 @@ if TYPE_CHECKING:
 
 
 INTERVAL_DAYS: Final = 365.0
-"""The interval that counts where there is no history, unless another is stated."""
+"""The default interval (days), used for units without a history."""
 MOST_DAYS: Final = 36_525
 METHOD: Final = 1
-"""Of the reckoning by drift: it rises where dates would be others, and what was kept goes."""
+"""Version of the drift method. Raise it when due dates would differ: cached dates then expire."""
 KEPT_AT_ONCE: Final = 20
-"""Units whose answers are written at once: an ask that is ended goes on there."""
+"""Number of units whose due dates are written at once; an interrupted query resumes from there."""
 FEW: Final = 150
-"""So few units are reckoned in this process: starting others takes longer."""
+"""Up to this many units are computed in this process, because starting others would take longer."""
 ENDED: Final = "a process that reckoned when units are due was ended; ask again: it goes on where it was"
 
 Reckoned = list[tuple[str, dict[str, Any], str]]
-"""Units with what was found, and a mark of all that tells it."""
+"""Units, each with its computed due date and the mark of the data behind it."""
 
 
 def due_units(
@@ -55,7 +55,7 @@ def due_units(
     before: str | None = None,
     processes: int | None = None,
 ) -> DueResult:
-    """Return when the units of a question are due, the first first, and of which units it is not known.
+    """Return the due dates of the units of a question, earliest first, and the units without a date.
 
     `limit_g` is the error allowed, by default the limit of each unit's last verification; `before` a day (ISO 8601)
     before which they are due. Of many units `processes` reckon, as many as there are cores unless stated. Raises
@@ -83,7 +83,7 @@ def due_units(
 
 
 def until_day(before: str | None) -> str | None:
-    """Return the day (UTC) of a time. Raises `Refused` for a text that is none."""
+    """Return the day (UTC) of a time. Raises `Refused` for a text that is no time."""
     try:
         return moment(before).date().isoformat() if before else None
     except ValueError as error:
@@ -91,7 +91,7 @@ def until_day(before: str | None) -> str | None:
 
 
 def _checked(limit_g: float | None, interval_days: float | None) -> float:
-    """Return the interval in days. Raises `Refused` for a limit or an interval that is none."""
+    """Return the interval in days. Raises `Refused` for an invalid limit or interval."""
     for option, value in (("--limit", limit_g), ("--interval", interval_days)):
         if value is not None and not value > 0.0:
             raise Refused(f"{option} {value:g}: expected a number above zero")
@@ -103,7 +103,7 @@ def _checked(limit_g: float | None, interval_days: float | None) -> float:
 def _reckoned(
     catalogue: Catalogue, names: Sequence[str], limit_g: float | None, interval_days: float, processes: int
 ) -> Iterator[Reckoned]:
-    """Yield what is found for units, some at a time: here, or by processes where they are many."""
+    """Yield the due dates of units, some at a time, computed here or, for many units, by processes."""
     parts = [names[i : i + KEPT_AT_ONCE] for i in range(0, len(names), KEPT_AT_ONCE)]
     told = "reckoning when units are due"
     if len(names) <= FEW or processes < 2:
@@ -138,7 +138,7 @@ def _reckon(
 
 
 def _keep(catalogue: Catalogue, found: Reckoned, asked: str) -> None:
-    """Keep what was found where nothing of a unit changed meanwhile."""
+    """Cache the due dates of the units whose data did not change meanwhile."""
     with suppress(Refused), catalogue.writing() as connection:  # who may only read is told all the same
         for name, told, mark in found:
             if mark and _mark(connection, name) == mark:
@@ -147,7 +147,7 @@ def _keep(catalogue: Catalogue, found: Reckoned, asked: str) -> None:
 
 
 def _mark(connection: Connection, name: str) -> str:
-    """Return a mark of the runs of a unit as they are known; empty where one was written a moment ago.
+    """Return a fingerprint of the known runs of a unit; empty if one was written a moment ago.
 
     Its files may then change once more without their times showing it (`bench.catalogue.sync.SETTLED_NS`).
     """
@@ -169,7 +169,7 @@ MOST_NAMED: Final = 8
 def unit_history(
     catalogue: Catalogue, unit: str, *, limit_g: float | None = None, interval_days: float | None = None
 ) -> UnitResult:
-    """Return what is known of a unit, named by its serial number or by type and serial number.
+    """Return the history of a unit, named by its serial number or by type and serial number.
 
     `limit_g` is the error allowed, by default the limit of its last verification. Raises `Refused` where none, or
     several, are of that name.
@@ -206,7 +206,7 @@ def _calibration(table: CoefficientTable, k: int) -> UnitCalibration:
 
 
 def unit_calibrations(catalogue: Catalogue, unit: str) -> list[UnitCalibration]:
-    """Return the calibrations of a unit that are compared, as in its history: what its figure needs.
+    """Return the comparable calibrations of a unit, as in its history, for its figure.
 
     Raises `Refused` where none, or several, are of that name.
     """
@@ -215,7 +215,7 @@ def unit_calibrations(catalogue: Catalogue, unit: str) -> list[UnitCalibration]:
 
 
 def compared_of(catalogue: Catalogue, name: str) -> tuple[CoefficientTable, bool, list[str]]:
-    """Return the calibrations of a unit (type and serial number), whether they are simulated, and what to know."""
+    """Return the calibrations of a unit (type and serial number), whether they are simulated, and notes."""
     table = coefficient_table(catalogue, [f"unit={name}"])
     notes = [f"without {words}" for words in table.left_out]
     return *_compared(table, notes), notes
@@ -238,7 +238,7 @@ def _name_of(catalogue: Catalogue, unit: str) -> str:
 
 
 def _compared(table: CoefficientTable, notes: list[str]) -> tuple[CoefficientTable, bool]:
-    """Return those calibrations that can be compared, per the g of the last, and whether they are simulated."""
+    """Return the comparable calibrations, per g of the last one, and whether they are simulated."""
     dated = ~np.isnat(table.when)
     if not np.all(dated):
         notes.append(f"without {np.sum(~dated)} calibrations that have no date")
@@ -264,7 +264,7 @@ def _rows(table: CoefficientTable, mask: Mask) -> CoefficientTable:
 
 
 def _per_g(table: CoefficientTable, g_m_s2: float) -> CoefficientTable:
-    """Return scale factors per another local gravity: the same per m/s²."""
+    """Return the calibrations per another local gravity; scale factors per m/s² stay the same."""
     factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / table.g_m_s2[:, None], 1.0)
     return replace(
         table,
@@ -276,7 +276,7 @@ def _per_g(table: CoefficientTable, g_m_s2: float) -> CoefficientTable:
 
 
 def limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
-    """Return the limit of the last verification of a question, local g; None where none states one."""
+    """Return the limit of the last verification of a question, in local g; None if none states a limit."""
     joined = RUNS.join(VERIFICATIONS, VERIFICATIONS.c.run == RUNS.c.id)
     asked = (
         select(VERIFICATIONS.c.limit_g)
@@ -293,7 +293,7 @@ def limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
 def due_of(
     table: CoefficientTable, limit_g: float | None, interval_days: float, *, simulated: bool
 ) -> tuple[Due | None, str]:
-    """Return when a unit of these calibrations is due, or None and why nobody knows."""
+    """Return the due date of the unit with these calibrations, or None and the reason for having none."""
     if not len(table):
         return None, "no calibration that can be believed has a date"
     if limit_g is None:

@@ -1,4 +1,4 @@
-"""Coefficients of many calibrations as arrays, out of the catalogue."""
+"""Coefficients of many calibrations, read from the catalogue as arrays."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from bench.services.coefficients import snapshots_in
 from bench.services.errors import Refused
 
 Texts = NDArray[np.object_]
-"""Texts, None where nothing was recorded."""
+"""Array of texts, with None for those not recorded."""
 
 COUNT: Final = len(COEFFICIENTS)
 
@@ -67,8 +67,8 @@ class CoefficientTable:
 def coefficient_table(catalogue: Catalogue, query: Sequence[str]) -> CoefficientTable:
     """Return the calibrations of the runs that a question names.
 
-    Left out, and told, are those of folders that are gone, of records that cannot be believed, and results that are
-    not of the record as it is now. Raises `Refused` for a question that is none.
+    It omits, and reports in `left_out`, runs whose folders are gone or whose records are damaged, and results
+    that do not belong to the record as it is now. Raises `Refused` for a question that is none.
     """
     asked = condition_of(query)
     believed = and_(
@@ -115,7 +115,7 @@ def _texts(values: Any) -> Texts:
 
 
 def _left_out(connection: Any, asked: Any) -> list[str]:
-    """Say how many runs of a question have no coefficients here, and why."""
+    """Return sentences that state how many runs of a question are left out, and why."""
     joined = RUNS.outerjoin(CALIBRATIONS, CALIBRATIONS.c.run == RUNS.c.id)
     gone = RUNS.c.vanished
     broken = and_(~gone, RUNS.c.record == "broken")
@@ -136,13 +136,13 @@ def _left_out(connection: Any, asked: Any) -> list[str]:
 
 RESULT: Final = "calibrate.json"
 MOST_COMPARED: Final = 400
-"""Of more calibrations the whole covariance is too large to be worth it: a narrower question is asked for."""
+"""Largest number of calibrations compared: beyond it their joint covariance would be too large."""
 
 
 def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tuple[str, ...]]:
-    """Return calibrations of known units on known benches, which of the table (n,) they are, and notes.
+    """Return the calibrations of known units on known benches, their mask in the table (n,), and notes.
 
-    Raises `Refused` where simulated and real ones, or signals in several units, are among them, or none is left.
+    Raises `Refused` if simulated and real runs or different signal units are mixed, or none is left.
     """
     known = np.ones(len(table), dtype=bool)
     notes = list(table.left_out)
@@ -192,15 +192,15 @@ def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tu
 
 
 def _regular(table: CoefficientTable) -> Mask:
-    """Return which calibrations found all twelve coefficients, (n,)."""
+    """Return the mask (n,) of the calibrations that determined all twelve coefficients."""
     variance = np.diagonal(table.covariance, axis1=1, axis2=2)
     return np.asarray(np.all(variance > 0, axis=1) & np.all(np.isfinite(variance), axis=1))
 
 
 def compared(table: CoefficientTable, method: str | None = None) -> BenchComparison:
-    """Hold benches against one another on the units that several of them measured.
+    """Compare benches by the units that several of them measured.
 
-    What calibrations have in common (meters, K2 and K3 of a block) is read from the results in their folders.
+    The errors that calibrations share (meters, K2 and K3 of a block) are read from results in their folders.
     Raises `Refused` or `CalibrationError` where there is nothing to compare, or too much.
     """
     measured, known, notes = measured_of(table)

@@ -1,7 +1,7 @@
-"""What a certificate says, typed: all that ISO/IEC 17025:2017, 7.8 asks for, before it is paper or XML.
+"""The typed content of a certificate, as ISO/IEC 17025:2017, 7.8 requires it, independent of PDF and XML.
 
-Nothing here depends on the day on which it is looked at, on the folder or on who looks: the same record, the same
-files and the same `Issue` give the same certificate, and both forms of it the same bytes.
+The content depends on neither date, folder nor user. The same record, files and `Issue` give the same
+certificate, and both its forms have the same bytes.
 """
 
 from __future__ import annotations
@@ -96,9 +96,10 @@ class Condition:
 
 @dataclass(frozen=True)
 class Instrument:
-    """An instrument that was used: what it answered, and its certificate as it stood on the day of the run.
+    """An instrument that was used: its identification answer, and its certificate on the day of the run.
 
-    `why_not` says why nothing was corrected by the certificate; `foreign` that it is of another instrument.
+    `why_not` is the reason why the certificate's corrections were not applied. `foreign` is true if the
+    certificate belongs to another instrument.
     """
 
     name: str
@@ -114,7 +115,7 @@ class Instrument:
 
 @dataclass(frozen=True)
 class Contribution:
-    """What u holds that the readings do not show: `u` is the largest part it adds, in that of `most_in`."""
+    """A contribution to u that readings do not show; `u` is its largest effect, on the value `most_in`."""
 
     name: str
     size: str
@@ -145,7 +146,7 @@ class Method:
 
 @dataclass(frozen=True)
 class RunReference:
-    """The run by which the results can be known again; `seal` is the text of its seal (JSON).
+    """The run from which the results can be reproduced; `seal` is the text of its seal (JSON).
 
     `sealed` is when it was sealed, empty for a run that was not: `seal` then says what a seal would have said.
     """
@@ -160,9 +161,9 @@ class RunReference:
 
 @dataclass(frozen=True)
 class RunFindings:
-    """What a run shows of the unit. `begun` and `ended` are civil times (ISO 8601), empty where nobody knows.
+    """The results of a run for the unit. `begun` and `ended` are civil times (ISO 8601), empty if unknown.
 
-    `result` and `verdict` are the whole evaluation, `result_json` and `readings_csv` the files that say it;
+    `result` and `verdict` are the whole evaluation, `result_json` and `readings_csv` the files with it;
     `verdict` is None where no verification point was measured.
     """
 
@@ -193,7 +194,7 @@ class RunFindings:
 
 @dataclass(frozen=True)
 class Before:
-    """The certificate before this one: `kind` is "amended" or "replaced", `sha256` that of its XML as issued."""
+    """The previous certificate: `kind` is "amended" or "replaced", `sha256` that of its XML as issued."""
 
     kind: str
     number: str
@@ -204,9 +205,9 @@ class Before:
 
 @dataclass(frozen=True)
 class Issue:
-    """What happens once: the number, when it was issued (ISO 8601, to the second), who authorised it.
+    """The issue of a certificate: its number, time (ISO 8601, to the second), and who authorised it.
 
-    `signed_by` is whom the certificate of the key names, empty where nobody signs.
+    `signed_by` is the subject of the key's X.509 certificate; it is empty for an unsigned certificate.
     """
 
     number: str
@@ -223,7 +224,7 @@ class Issue:
 
 @dataclass(frozen=True)
 class Attached:
-    """A file that goes with the certificate."""
+    """A file attached to the certificate."""
 
     name: str
     media_type: str
@@ -233,10 +234,10 @@ class Attached:
 
 @dataclass(frozen=True)
 class Certificate:
-    """A certificate; of a draft `issue`, and where they were not given `laboratory` and `order`, are None.
+    """A certificate. `issue` is None for a draft; `laboratory` and `order` are None if not given.
 
-    `unit` is what the order says of this unit, `as_found` what a run before an adjustment showed. `texts` are the
-    words in the languages asked for, the first one first.
+    `unit` is the order's entry for this unit, `as_found` the results of a run before an adjustment.
+    `texts` are the words in the chosen languages, the main language first.
     """
 
     found: RunFindings
@@ -249,22 +250,22 @@ class Certificate:
 
     @property
     def draft(self) -> bool:
-        """Whether it has no number."""
+        """Whether the certificate is a draft, without a number."""
         return self.issue is None
 
     @property
     def unsigned(self) -> bool:
-        """Whether it has a number and nobody signs it: every page says so."""
+        """Whether the certificate is numbered but not signed; every page then says so."""
         return self.issue is not None and not self.issue.signed_by
 
     @property
     def simulated(self) -> bool:
-        """Whether it is of simulated instruments: every page says so."""
+        """Whether the instruments were simulated; every page then says so."""
         return self.found.simulated
 
     @property
     def number(self) -> str:
-        """Its number, empty for a draft."""
+        """The number of the certificate, empty for a draft."""
         return "" if self.issue is None else self.issue.number
 
     @property
@@ -279,13 +280,13 @@ class Certificate:
 
     @property
     def place(self) -> str:
-        """Where it was calibrated; empty where nobody says it."""
+        """The place of the calibration; empty if not stated."""
         stated = self.order.place if self.order is not None else None
         return stated or (self.laboratory.place if self.laboratory is not None else "")
 
     @property
     def calibrated(self) -> tuple[datetime.date, datetime.date] | None:
-        """The first and the last day of the calibration; None where nobody says it."""
+        """The first and the last day of the calibration; None if not stated."""
         first, last = day_of(self.found.begun), day_of(self.found.ended)
         if first is None or last is None:
             first = last = None if self.unit is None else self.unit.calibrated
@@ -293,14 +294,15 @@ class Certificate:
 
     @property
     def state(self) -> str:
-        """Whether the results show the unit as found or as left; empty where nobody says it."""
+        """Whether the results show the unit as found or as left; empty if not stated."""
         return "" if self.unit is None else self.unit.state
 
     @property
     def origins(self) -> dict[str, list[tuple[str, dict[str, str]]]]:
-        """What is not the laboratory's own: sampling, external providers, the customer's data.
+        """Statements on sampling, external providers and customer data: what is not the laboratory's own.
 
-        Keys of texts: a head, and sentences with what fills their blanks. Empty without an order. Source:
+        Each heading maps to sentences; a sentence is a key of texts with the values for its blanks. Empty
+        without an order. Source:
         ISO/IEC 17025:2017, 7.8.2.1 k and p, 7.8.2.2.
         """
         order = self.order
@@ -320,7 +322,7 @@ class Certificate:
 
     @property
     def stated(self) -> tuple[StatedField, ...]:
-        """What laboratory and order files state beside what every certificate has."""
+        """The additional fields that the laboratory and order files state for this certificate."""
         return tuple(stated_fields(self.laboratory, self.unit, self.order))
 
     @property
@@ -332,12 +334,12 @@ class Certificate:
 
     @property
     def valid_instruments(self) -> bool:
-        """Whether every instrument that the result rests on has a certificate that is its own."""
+        """Whether every instrument behind the result has a valid certificate of its own."""
         return not uncertified(self.found)
 
     @property
     def attachments(self) -> tuple[Attached, ...]:
-        """The files that go with it: the result, the readings, the seal of the record."""
+        """The attached files: the result, the readings, the seal of the record."""
         found = self.found
         return (
             Attached("result.json", "application/json", "the result", found.result_json.encode()),
@@ -347,14 +349,14 @@ class Certificate:
 
 
 def stated(of: Verification) -> tuple[Statement, tuple[Statement, ...]]:
-    """Return the statement of conformity as its rule makes it, on the whole and on each verification point."""
+    """Return the statements of conformity by the decision rule: overall, and for each verification point."""
     points = tuple(by_rule(one.statement, of.rule, passed=one.passed) for one in of.points)
     missing = (Statement.NOT_COMPLETE,) if of.missing else ()
     return max((*points, *missing), key=list(Statement).index), points
 
 
 def uncertified(found: RunFindings) -> tuple[str, ...]:
-    """Return the voltmeters and the head of which no certificate counts."""
+    """Return the names of the voltmeters and the head that have no valid certificate."""
     return tuple(
         one.name
         for one in found.instruments
@@ -363,14 +365,14 @@ def uncertified(found: RunFindings) -> tuple[str, ...]:
 
 
 def rule_said(say: Callable[..., Said], rule: DecisionRule) -> Said:
-    """Return a decision rule in the words of a language; `say` has them."""
+    """Return a decision rule in words; `say` returns the text of a key."""
     if rule.guard_band is None:
         return say("rule_unstated", times=f"{100 * FALSE_ACCEPTANCE:g}")
     return say(_RULES[rule.name], times=f"{rule.guard_band:g}")
 
 
 def day_of(time: str) -> datetime.date | None:
-    """Return the day of a civil time (ISO 8601); None where there is none."""
+    """Return the day of a civil time (ISO 8601); None for any other text."""
     try:
         return datetime.datetime.fromisoformat(time).date()
     except ValueError:

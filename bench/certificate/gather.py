@@ -1,4 +1,4 @@
-"""From a run, a laboratory file and an order file to what a certificate says, and what it lacks."""
+"""Compile a certificate from a run, a laboratory file and an order file; list what it lacks."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ def certificate_of(
     order: Order | None = None,
     issue: Issue | None = None,
 ) -> Certificate:
-    """Evaluate a run as it was begun; return what its certificate says.
+    """Evaluate a run with its recorded settings; return its certificate.
 
-    Raises `Refused` for what is no run that has ended, `RecordError` for one that cannot be believed,
-    `CalibrationError` where there is no result.
+    Raises `Refused` for a missing or unfinished run, `RecordError` for a damaged record, `CalibrationError`
+    where there is no result.
     """
     k = 2.0 if laboratory is None else laboratory.k
     asked = NOTHING_ASKED if order is None else VerdictOptions(rule=order.rule, guard_band=order.guard_band)
@@ -88,7 +88,7 @@ def _house_rule(laboratory: Laboratory | None) -> DecisionRule | None:
 
 
 def texts_for(laboratory: Laboratory | None) -> tuple[Texts, ...]:
-    """Return the words in the languages of a laboratory, with its own in place of some."""
+    """Return the texts in the languages of a laboratory, which may replace some by its own."""
     if laboratory is None:
         return (texts_of(_FIRST_LANGUAGE),)
     return tuple(
@@ -98,7 +98,7 @@ def texts_for(laboratory: Laboratory | None) -> tuple[Texts, ...]:
 
 
 def missing(certificate: Certificate) -> tuple[str, ...]:
-    """Return what ISO/IEC 17025:2017, 7.8 asks for and is not there, or cannot be, a sentence each."""
+    """Return a sentence for each missing or invalid item that ISO/IEC 17025:2017, 7.8 requires."""
     return tuple(_missing(certificate))
 
 
@@ -139,7 +139,7 @@ def found_by(
 ) -> RunFindings:
     """Evaluate a run with its own bench file; U of the coefficients is `k` u. Raises as `certificate_of`.
 
-    The verdict is found as `asked`, by the rule `agreed` where the record states none.
+    `asked` are options of the verdict; its decision rule is `agreed` where the record states none.
     """
     (source,) = load_sources(Request([name], runs))
     run = source.run
@@ -223,7 +223,7 @@ def _record(run: Run) -> RunReference:
 
 
 def _begun(source: Source) -> str:
-    """Return when the readings were begun; of readings that came without a word on that nothing is known."""
+    """Return the time at which the readings began; empty for imported readings that do not state it."""
     run = source.run
     if run is not None and run.imported and origin_beside(run.folder / IMPORTED).origin is None:
         return ""
@@ -258,9 +258,10 @@ def _conditions(source: Source) -> Iterator[Condition]:
 
 
 def _of_temperature(source: Source) -> tuple[float, str]:
-    """Return the standard uncertainty of the block's temperature, K, and where it is from.
+    """Return the standard uncertainty of the block's temperature, K, and its origin.
 
-    A thermometer at the block tells it; else it is that of the air, as far as the block may be from it.
+    The origin is a thermometer at the block, or else the air temperature and its possible difference from
+    that of the block.
     """
     known = {error.name: error for error in hidden_sources(source.bench, source.model)}
     thermometer, band = known.get("thermometer"), known["temperature"]
@@ -281,7 +282,7 @@ def _numbers(readings: Readings, column: str) -> Any:
 
 
 def _span(values: Any) -> tuple[float, float] | None:
-    """Return the least and the largest of values, without NaN; None where there is none."""
+    """Return the smallest and the largest value, ignoring NaN; None if there are no values."""
     known = values[~np.isnan(values)]
     return (float(known.min()), float(known.max())) if len(known) else None
 

@@ -1,7 +1,7 @@
-"""Laboratory files and order files: who calibrates, who asked for what, and the words of a certificate.
+"""Laboratory files (who calibrates), order files (who ordered what), and the words of a certificate.
 
-A new field of these files stands on the certificate where it is marked with `OnCertificate` and has words in
-`words.yaml` under its name: on the page that the mark names, and as a statement in the DCC.
+To show a new field of these files on the certificate, mark it with `OnCertificate` and add words under its
+name to `words.yaml`. It then appears on the page that the mark names and as a statement in the DCC.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from bench.config.bench_file.stand import StatedRule
 from bench.config.devices.device import Day
 
 SIMULATED_SERIES: Final = "SIM-"
-"""What the numbers of simulated runs begin with, and those of no others."""
+"""Prefix of the certificate numbers of simulated runs; no other number begins with it."""
 
 _FIELD: Final = re.compile(r"\{(year|count)(?::0?([1-9]))?\}")
 _PLAIN: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,60}")
@@ -38,7 +38,7 @@ _PLAIN: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,60}")
 
 _WORDS: Final = yaml.safe_load(Path(__file__).with_name("words.yaml").read_text(encoding="utf-8"))
 LANGUAGES: Final = tuple(sorted({language for words in _WORDS.values() for language in words}))
-"""The languages there are, by the code of ISO 639-1."""
+"""The supported languages, by their ISO 639-1 codes."""
 
 _BLANK: Final = re.compile(r"\{([a-z_]+)\}")
 
@@ -65,8 +65,8 @@ def texts_of(language: str) -> Texts:
 class OnCertificate:
     """Marks a field of a laboratory or order file that stands on the certificate under its own name.
 
-    `page` is where on paper: "front", "method" or "conditions". A row that is also there where nothing is stated
-    says `otherwise` then (a key of texts), and stands before the others.
+    `page` is the page on paper: "front", "method" or "conditions". A row with `otherwise` (a key of texts)
+    always appears, before the others, and shows that text where the field is not stated.
     """
 
     page: Literal["front", "method", "conditions"]
@@ -75,7 +75,7 @@ class OnCertificate:
 
 @dataclass(frozen=True)
 class StatedField:
-    """What a file states for a certificate: `key` of its words, `texts` as the file has them, none if nothing."""
+    """A field for a certificate: the `key` of its words, and its `texts` from the file, possibly none."""
 
     key: str
     texts: tuple[str, ...]
@@ -118,7 +118,7 @@ class Address(FileModel):
 
 
 class Contact(FileModel):
-    """A company or an authority, and how it is reached."""
+    """The contact data of a company or an authority."""
 
     name: str
     address: Address
@@ -127,14 +127,14 @@ class Contact(FileModel):
 
 
 class Person(FileModel):
-    """Somebody who may authorise certificates."""
+    """A person who may authorise certificates."""
 
     name: str
     role: str | None = None
 
 
 class Accreditation(FileModel):
-    """By whom a laboratory is accredited, and under which number."""
+    """The accreditation of a laboratory: the accreditation body and the number."""
 
     body: str
     number: str
@@ -198,7 +198,7 @@ class Laboratory(Contact, StatedRule):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield texts of its own that no certificate has a place for."""
+        """Yield a mistake for each of the laboratory's own texts that no certificate uses."""
         stated = part(data, "texts")
         for language in stated if isinstance(stated, dict) else ():
             own = stated[language]
@@ -211,12 +211,12 @@ class Laboratory(Contact, StatedRule):
 
     @property
     def register_folder(self) -> Path:
-        """The folder of its register."""
+        """The folder of the laboratory's register of certificates."""
         return self._file.parent / self.register_
 
     @property
     def logo_file(self) -> Path | None:
-        """The picture of its logo, None where it has none."""
+        """The picture file of the laboratory's logo; None without a logo."""
         return self._logo or (None if self.logo is None else self._file.parent / self.logo)
 
     def number(self, count: int, year: int, *, simulated: bool) -> str:
@@ -228,7 +228,7 @@ class Laboratory(Contact, StatedRule):
         return (SIMULATED_SERIES if simulated else "") + _FIELD.sub(filled, self.numbers)
 
     def person(self, name: str) -> Person | None:
-        """Return who is called so among those that may authorise; None for another."""
+        """Return the person of this name who may authorise certificates; None if there is none."""
         return next((one for one in self.authorised if one.name == name), None)
 
 
@@ -249,7 +249,7 @@ AS_FOUND, AS_LEFT = "as found", "as left"
 
 
 class Adjusted(FileModel):
-    """What was adjusted or mended, and the run, by name or path, that shows the unit as it was found before."""
+    """An adjustment or repair, and the run (name or path) that shows the unit as found before it."""
 
     what: str
     as_found: str | None = None
@@ -276,10 +276,10 @@ class Supplied(FileModel):
 
 
 class UnitOrder(FileModel):
-    """A unit of an order: when it came, in which condition, and whether the run shows it as found or as left.
+    """A unit of an order: its receipt, its condition, and whether the run shows it as found or as left.
 
-    `serial` is left out for units that are all alike in this. `calibrated` is the day of readings
-    that were imported from elsewhere: a record says itself when it was measured. `deviations` are from the method.
+    An entry without `serial` applies to all units. `calibrated` is the day of imported readings; a record
+    itself states when it was measured. `deviations` are deviations from the method.
     """
 
     serial: str | None = None
@@ -302,7 +302,7 @@ class UnitOrder(FileModel):
 
 
 class Order(StatedRule):
-    """An order file, validated. `place` is where it was calibrated, where that was not the laboratory's.
+    """A validated order file. `place` is the place of calibration if it was not the laboratory.
 
     `rule` and `guard_band` are the decision rule that was agreed with the customer, before what the record states
     (ISO/IEC 17025:2017, 7.1.3), `agreed` what else was; `without_certificates` why the customer takes results of
@@ -324,7 +324,7 @@ class Order(StatedRule):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield units that stand twice, and days that cannot be."""
+        """Yield a mistake for each unit listed twice and each impossible day."""
         units = part(data, "units")
         seen: set[object] = set()
         for place, unit in enumerate(units if isinstance(units, list) else ()):
@@ -338,7 +338,7 @@ class Order(StatedRule):
                 seen.add(serial)
 
     def unit(self, serial: str) -> UnitOrder | None:
-        """Return what is said of a unit: by its serial number, else what is said of all alike."""
+        """Return the entry for a serial number, or else the entry that applies to all units."""
         named = next((unit for unit in self.units if unit.serial == serial), None)
         return named or next((unit for unit in self.units if unit.serial is None), None)
 

@@ -1,4 +1,4 @@
-"""The life of a certificate: drafted, issued, amended, revoked, handed out; what a register shows."""
+"""The life cycle of a certificate: draft, issue, amendment, revocation, hand-out, check of the register."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Desk:
-    """What certificates are issued with: files as they were read, who authorises, a key, schemas, the clock."""
+    """The means of issuing certificates: files as read, the authorising person, a key, schemas, the clock."""
 
     runs: Path
     laboratory_file: Document
@@ -51,14 +51,14 @@ class Desk:
         return validated(self.order_file, Order)
 
     def person(self, laboratory: Laboratory) -> Person:
-        """Return who authorises. Raises `Refused` for somebody who may not."""
+        """Return the authorising person. Raises `Refused` for a person who may not authorise."""
         return authorised(laboratory, self.authorised_by)
 
 
 def desk_of(request: Issuing, passphrase: Callable[[], bytes]) -> Desk:
-    """Return what certificates are issued with, all of it read and checked; `passphrase` is asked for.
+    """Return the checked means of issuing certificates; `passphrase` is called if the key needs it.
 
-    Raises `Refused` with all that a certificate needs and the request lacks, `FileMistakes` for its files.
+    Raises `Refused` with everything missing from the request, `FileMistakes` for mistakes in its files.
     """
     needed = {
         "--laboratory FILE": request.laboratory,
@@ -92,25 +92,25 @@ def laboratory_in(file: Path | None) -> Laboratory:
 
 
 def _outcome(run: str, number: str | None = None, **told: Any) -> IssuedRun:
-    """Return what became of a run."""
+    """Return the outcome of issuing for a run."""
     usual: dict[str, Any] = {"files": [], "why": None, "issued_before": False, "lacks": []}
     return IssuedRun(run=run, number=number, **{**usual, **told})
 
 
 @dataclass(frozen=True)
 class Bodies:
-    """The unsigned forms of a certificate."""
+    """The unsigned forms of a certificate, PDF and XML."""
 
     xml: bytes
     pdf: bytes
 
     def sha256(self) -> dict[str, str]:
-        """Return the SHA-256 of each by its ending."""
+        """Return the SHA-256 of each form by its file suffix."""
         return {name: hashlib.sha256(body).hexdigest() for name, body in vars(self).items()}
 
 
 def authorised(laboratory: Laboratory, name: str) -> Person:
-    """Return who may authorise certificates of a laboratory. Raises `Refused` for somebody else."""
+    """Return the person `name`. Raises `Refused` if this person may not authorise certificates."""
     person = laboratory.person(name)
     if person is None:
         names = ", ".join(one.name for one in laboratory.authorised)
@@ -119,7 +119,7 @@ def authorised(laboratory: Laboratory, name: str) -> Person:
 
 
 def issue_all(names: Sequence[str], desk: Desk) -> Iterator[IssuedRun]:
-    """Issue a certificate of each run, one after the other; one that cannot be issued stops no other."""
+    """Issue a certificate for each run in turn; yield the outcomes. A failure does not stop the others."""
     laboratory, order = desk.laboratory, desk.order
     person, register = desk.person(laboratory), Register(laboratory.register_folder)
     for name in names:
@@ -146,7 +146,7 @@ def drafts(request: IssueCertificates) -> Iterator[IssuedRun]:
 
 @contextmanager
 def _told(name: str) -> Iterator[list[IssuedRun]]:
-    """Turn an exception into that run's outcome: it stops no other run."""
+    """Turn an exception into the outcome of that run, so that the other runs continue."""
     outcomes: list[IssuedRun] = []
     try:
         yield outcomes
@@ -167,14 +167,14 @@ def _issue(
 
 
 def _holding(register: Register, certificate: Certificate) -> NumberStatus | None:
-    """Return the certificate of the same record that holds, None where there is none."""
+    """Return the valid certificate of the same record; None if there is none."""
     head = certificate.found.record.head
     of_record = (s for s in register.standings.values() if s.entry.data["record"]["head"] == head)
     return next((standing for standing in of_record if standing.state == ISSUED), None)
 
 
 def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) -> IssuedRun:
-    """Issue a certificate in place of one that holds; the new one names it. Raises `Refused` where none holds."""
+    """Issue a certificate that supersedes and names a valid one. Raises `Refused` if that is not valid."""
     laboratory, order = desk.laboratory, desk.order
     person = desk.person(laboratory)
     certificate = certificate_of(name, desk.runs, laboratory, order)
@@ -189,7 +189,7 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
 
 
 def revoke(request: RevokeCertificate) -> None:
-    """Write down that a certificate holds no more. Raises `Refused` for one that does not hold now."""
+    """Record the revocation of a certificate. Raises `Refused` for one that is not valid now."""
     laboratory = laboratory_in(request.laboratory)
     if request.authorised_by is None:
         raise Refused("say --authorised-by NAME")
@@ -201,7 +201,7 @@ def revoke(request: RevokeCertificate) -> None:
 
 
 def holds(register: Register, number: str) -> NumberStatus:
-    """Return a certificate that holds. Raises `Refused` for another, and for a number that was never issued."""
+    """Return the status of a valid certificate. Raises `Refused` for an invalid or unknown number."""
     standing = issued(register, number)
     if standing.state != ISSUED:
         told = f"by {standing.by}" if standing.state != REVOKED else f": {standing.by}"
@@ -210,7 +210,7 @@ def holds(register: Register, number: str) -> NumberStatus:
 
 
 def issued(register: Register, number: str) -> NumberStatus:
-    """Return what is known of a number. Raises `Refused` for one that was never issued."""
+    """Return the status of a number. Raises `Refused` for a number that was never issued."""
     if number not in register.standings:
         latest = ", ".join(list(register.standings)[-3:]) or "none"
         raise Refused(
@@ -227,7 +227,7 @@ def _write(
     register: Register,
     before: Before | None,
 ) -> IssuedRun:
-    """Give a certificate the next number, make its forms, issue it; the register is open."""
+    """Number, produce and issue a certificate with an open register; return the outcome."""
     now = desk.now()
     simulated = certificate.simulated
     number = register.number_after(laboratory.number(n, now.year, simulated=simulated) for n in count(1))
@@ -269,9 +269,9 @@ def refuse_incomplete(certificate: Certificate) -> None:
 
 
 def bodies_of(certificate: Certificate, schemas: Schemas | None = None) -> Bodies:
-    """Return the forms of a certificate with a number, unsigned; checked before anybody sees them.
+    """Return the unsigned forms of a numbered certificate after checking them.
 
-    Raises `Refused` where the document breaks a rule of ours or of the schemas.
+    Raises `Refused` if the XML violates a rule of this program or of the schemas.
     """
     from bench.certificate.dcc.document import document_of
     from bench.certificate.dcc.nodes import broken_rules
@@ -292,7 +292,7 @@ def _body(certificate: Certificate, xml: bytes) -> bytes:
 def signed(
     bodies: Bodies, certificate: Certificate, signatory: Signatory | None, now: datetime
 ) -> dict[str, bytes]:
-    """Return the files of a certificate by name: the XML is signed, embedded, and then the PDF is signed."""
+    """Return the files of a certificate by name. The PDF embeds the signed XML and is then signed."""
     number = certificate.number
     if signatory is None:
         return {f"{number}.xml": bodies.xml, f"{number}.pdf": bodies.pdf}
@@ -305,7 +305,7 @@ def signed(
 
 
 def made_again(register: Register, number: str, runs: Path) -> Bodies:
-    """Make the unsigned forms of an issued certificate from its record again. Raises as issuing does."""
+    """Return the unsigned forms of an issued certificate from its record. Raises as issuing does."""
     entry = issued(register, number).entry
     kept = entry.data["made_from"]
     paths = {name: register.folder / "made-from" / digest for name, digest in kept.items() if digest}
@@ -330,10 +330,10 @@ def made_again(register: Register, number: str, runs: Path) -> Bodies:
 
 
 def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
-    """Return what a register holds, of one number or of all, and the files that were handed out again.
+    """Return the content of a register, for one number or all, and the files that were handed out again.
 
-    With `again` each certificate is made from its record again and compared. Raises `Refused` for a number that was
-    never issued.
+    With `again` each certificate is reproduced from its record and compared. Raises `Refused` for a number
+    that was never issued.
     """
     if request.out is not None and request.number is None:
         raise Refused("--out: say the number of the certificate that is handed out")
@@ -348,7 +348,7 @@ def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
 
 
 def register_result(register: Register, number: str | None, runs: Path | None) -> RegisterResult:
-    """Return what an open register holds, of one number or of all; with `runs` each is made again and compared."""
+    """Return the content of an open register, for one number or all; `runs` serves to reproduce each."""
     numbers = list(register.standings) if number is None else [issued(register, number).entry.number]
     problems = [problem for problem in register.damaged_files() if number is None or f"{number}." in problem]
     rows = []
@@ -377,7 +377,7 @@ def register_result(register: Register, number: str | None, runs: Path | None) -
 
 
 def _same(register: Register, number: str, runs: Path, problems: list[str]) -> bool:
-    """Whether the unsigned forms, made again, are byte for byte those that were issued."""
+    """Whether the reproduced unsigned forms equal the issued ones byte for byte."""
     stated = register.standings[number].entry.data["bodies"]
     try:
         again = made_again(register, number, runs).sha256()
@@ -393,7 +393,7 @@ def _same(register: Register, number: str, runs: Path, problems: list[str]) -> b
 
 
 def handed_out(register: Register, number: str, folder: Path) -> list[Path]:
-    """Copy the files of a certificate as they were issued into a folder. Raises `Refused`, `OSError`."""
+    """Copy the issued files of a certificate into a folder. Raises `Refused`, `OSError`."""
     entry = issued(register, number).entry
     contents = {name: register.file(name) for name in entry.files}
     if folder.absolute() == register.folder.absolute():

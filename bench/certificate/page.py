@@ -1,7 +1,7 @@
-"""From what a certificate says to the data of its pages and the unsigned PDF; whether a file is such a PDF.
+"""Page data and unsigned PDF of a certificate, and the check that a file is such a PDF.
 
 A certificate is a PDF/A-3b with files attached (ISO 19005-3:2012). `faults_of` looks at a file as objects, before
-it is signed and after. It is no whole validator: each question is listed with its clause; veraPDF asks more.
+it is signed and after. It is no complete validator: it lists each check with its clause; veraPDF checks more.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ DCC: Final = "dcc.xml"
 """The name under which the digital certificate is attached."""
 
 RELATIONS: Final = {DCC: "data", "result.json": "data", "readings.csv": "source", "seal.json": "supplement"}
-"""How what is attached is related to the pages (ISO 19005-3, AFRelationship)."""
+"""Relationship of each attachment to the pages (ISO 19005-3, AFRelationship)."""
 
 _PICTURES: Final = ((b"\x89PNG", "png"), (b"\xff\xd8\xff", "jpg"), (b"<svg", "svg"), (b"<?xml", "svg"))
 _LARGEST_LOGO: Final = 2 * MEGABYTE
 
 
 def attachments_of(certificate: Certificate, dcc: bytes) -> tuple[Attached, ...]:
-    """Return the files in a certificate's PDF, the digital certificate first; a draft has none (`dcc` is empty)."""
+    """Return the files attached to a PDF, the digital certificate first; a draft (empty `dcc`) has none."""
     digital = Attached(DCC, "text/xml", "the digital calibration certificate (DCC)", dcc)
     return (digital, *certificate.attachments) if dcc else certificate.attachments
 
 
 def data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
-    """Return what the template is given. Raises `Refused` for a logo that is no picture."""
+    """Return the input data of the page template. Raises `Refused` for a logo that is no picture."""
     write = Writer(certificate)
     laboratory, issue = certificate.laboratory, certificate.issue
     title = write.say("title")
@@ -97,7 +97,7 @@ def _letter_head(certificate: Certificate, write: Writer) -> list[str]:
 
 
 def reached(contact: Contact) -> list[str]:
-    """Return how somebody is reached, in a line, where it is said."""
+    """Return the contact details of a company in one line; an empty list if none are stated."""
     ways = [way for way in (contact.email, contact.phone) if way]
     return [" · ".join(ways)] if ways else []
 
@@ -136,7 +136,7 @@ def _front(certificate: Certificate, write: Writer) -> list[Block]:
 
 
 def _days(certificate: Certificate) -> str:
-    """Return the days of the calibration, once where they are one."""
+    """Return the first and the last day of the calibration, or the one day if they coincide."""
     if certificate.calibrated is None:
         return ""
     first, last = certificate.calibrated
@@ -144,7 +144,7 @@ def _days(certificate: Certificate) -> str:
 
 
 def _matrix(certificate: Certificate, write: Writer) -> Block:
-    """Return K and U0 as the table that answers: a row for each channel."""
+    """Return the table of K and U0, with a row for each channel."""
     values = certificate.found.coefficients
     rows: list[list[Cell]] = []
     for channel in "xyz":
@@ -201,7 +201,7 @@ _NO_SIGN: Final = re.compile(r'the text `"(.+?)"` could not be displayed')
 def body_of(certificate: Certificate, dcc: bytes) -> bytes:
     """Return the PDF/A-3b of a certificate with its files attached, `dcc` its digital certificate (XML).
 
-    Raises `Refused` for a logo that is no picture, and for a letter that the fonts have no sign for.
+    Raises `Refused` for a logo that is no picture, and for a character without a glyph in the fonts.
     """
     given = {one.name: one.content.decode() for one in attachments_of(certificate, dcc)}
     data = {"data": json.dumps(data_of(certificate, dcc)), **given}
@@ -221,7 +221,7 @@ def pictures_of(certificate: Certificate, dcc: bytes, dots_per_inch: float = 110
 
 
 def typeset_pdf(data: dict[str, str], moment: int) -> bytes:
-    """Set the template with its inputs; `moment` (s since 1970) is when the file says that it was made."""
+    """Return the PDF typeset from the template; `moment` (s since 1970) is its stated creation time."""
     import typst
 
     try:
@@ -249,7 +249,7 @@ def _template() -> bytes:
 
 
 def _moment(certificate: Certificate) -> int:
-    """Return when it was issued, of a draft when the run ended, s since 1970; 0 where nobody knows."""
+    """Return the time of issue, or of the run's end for a draft, in s since 1970; 0 if unknown."""
     told = certificate.found.ended if certificate.issue is None else certificate.issue.issued
     try:
         return int(datetime.fromisoformat(told).timestamp())
@@ -271,7 +271,7 @@ _ACTIONS: Final = {
     "/Launch", "/Sound", "/Movie", "/ResetForm", "/ImportData", "/Hide", "/SetOCGState", "/Rendition", "/Trans",
     "/GoTo3DView", "/JavaScript", "/URI", "/SubmitForm", "/GoToR", "/GoToE",
 }  # fmt: skip
-"""No action that runs or leads out of the file: 6.5.1 forbids most of them, a certificate needs none."""
+"""Forbidden actions, which run code or leave the file; 6.5.1 forbids most, a certificate needs none."""
 _FORBIDDEN_ANNOTATIONS: Final = {"/3D", "/Sound", "/Screen", "/Movie", "/RichMedia", "/FileAttachment"}
 _HIDING: Final = 1 | 2 | 32 | 256  # Invisible, Hidden, NoView, ToggleNoView
 _PRINT: Final = 4
@@ -279,7 +279,7 @@ _PDFA: Final = "http://www.aiim.org/pdfa/ns/id/"
 
 
 def faults_of(file: bytes) -> tuple[str, ...]:
-    """Return in what a file is not the PDF/A-3b that a certificate is, a sentence each; nothing where it is."""
+    """Return a sentence for each way in which a file deviates from the PDF/A-3b of a certificate."""
     import pikepdf
 
     if re.match(rb"%PDF-1\.[0-7]\r?\n%[\x80-\xff]{4}", file) is None:
@@ -369,7 +369,7 @@ def _annotations(page: Any) -> Iterator[str]:
 
 
 def _objects(pdf: Any) -> Iterator[str]:
-    """Look at every object that the file has, whether a page shows it or not."""
+    """Yield the faults of all objects in the file, whether or not a page shows them."""
     import pikepdf
 
     for one in pdf.objects:

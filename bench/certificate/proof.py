@@ -1,4 +1,4 @@
-"""Pages that prove: method, conditions, results, conformity, record; the blocks they are made of."""
+"""The pages after the first: method, conditions, results, conformity, record; and their blocks."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ Cell = str | list[str] | dict[str, Any]
 NOBODY_SAYS: Final = "–"
 _MANY_DOF: Final = 1000
 _CODE_LENGTH: Final = 32
-"""Hashes are broken in parts of this length."""
+"""Number of characters in each line of a hash."""
 
 
 class Writer:
-    """Blocks in the languages of a certificate."""
+    """A writer of page blocks in the languages of a certificate."""
 
     def __init__(self, certificate: Certificate) -> None:
         self._texts = certificate.texts
@@ -47,20 +47,20 @@ class Writer:
         ]
 
     def heading(self, key: str, level: int = 1) -> Block:
-        """Return a heading."""
+        """Return a heading block with the text `key`."""
         return {"kind": "heading", "words": self.say(key), "level": level}
 
     def words(self, key: str, **values: object) -> Block:
-        """Return a paragraph."""
+        """Return a paragraph block with the text `key`."""
         return {"kind": "words", "words": self.say(key, **values)}
 
     def pairs(self, rows: Iterable[tuple[str, Sequence[Cell]]]) -> Block:
-        """Return lines behind names of them; what nobody says has a dash."""
+        """Return a block of rows, each a label with its lines; a row without content shows a dash."""
         told = [[self.say(key), [one for one in lines if one] or [NOBODY_SAYS]] for key, lines in rows]
         return {"kind": "pairs", "rows": told}
 
     def stated(self, certificate: Certificate, page: str) -> list[tuple[str, list[Cell]]]:
-        """Return the rows of a page that laboratory and order files state; those that are always there first."""
+        """Return a page's rows from the laboratory and order files; rows that always appear come first."""
         fields = [one for one in certificate.stated if one.place.page == page]
         rows: list[tuple[str, list[Cell]]] = []
         for one in sorted(fields, key=lambda field: not field.place.otherwise):
@@ -91,14 +91,14 @@ class Writer:
         }  # fmt: skip
 
     def figure(self, svg: str, key: str, width_mm: float, **values: object) -> Block:
-        """Return a figure of the report: vectors, the lettering as outlines."""
+        """Return a figure block: an SVG of the report, with its lettering as outlines."""
         told = self.say(key, **values)
         alone = svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
         return {"kind": "figure", "svg": alone, "words": told, "width": width_mm, "alt": told[0]}
 
 
 def symbol(name: str) -> Cell:
-    """Return the name of a number as it is set: K with its indices below."""
+    """Return the cell for the symbol of a coefficient: K with its indices as subscripts."""
     if name.startswith("alpha_"):
         return {"symbol": "α", "index": name[6:]}
     return {"symbol": name[0], "index": name[1:]}
@@ -143,12 +143,12 @@ def correlation_rows(values: Values) -> list[list[Cell]]:
 
 
 def code(text: str) -> Cell:
-    """Return a hash, an address, a name of a file as it is set."""
+    """Return the cell for a hash, an address or a file name, set as code."""
     return {"code": text}
 
 
 def broken(digest: str) -> list[Cell]:
-    """Return a hash in lines."""
+    """Return the cells for a hash, broken into lines."""
     return [code(digest[at : at + _CODE_LENGTH]) for at in range(0, len(digest), _CODE_LENGTH)]
 
 
@@ -160,7 +160,7 @@ def span(low: float, high: float, u: float | None, unit: str) -> str:
 
 
 def plain(told: Any) -> Any:
-    """Return data without characters that act: what a name hides is seen on paper."""
+    """Return data with control characters made visible, so that a name hides nothing on paper."""
     if isinstance(told, dict):
         return {name: plain(of) for name, of in told.items()}
     if isinstance(told, list | tuple):
@@ -173,7 +173,7 @@ _RESULT_COLUMNS: Final = ["auto", 1.2, 1, 0.7, 0.8, 0.6]
 
 
 def pages(certificate: Certificate, write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:
-    """Return all that stands after the first page; `attached` are names, contents, hashes of files."""
+    """Return the blocks after the first page; `attached` are the names, contents and hashes of files."""
     found = certificate.found
     return [
         *_method(certificate, write),
@@ -317,7 +317,7 @@ def _uncertainty(found: RunFindings, write: Writer) -> list[Block]:
 
 
 def _to_two_digits(size: str) -> str:
-    """Return the size of a source of error, "8.29 µV", as a page has it."""
+    """Return the size of an error source, such as "8.29 µV", rounded to two digits."""
     number, _, unit = size.partition(" ")
     try:
         return f"{two_digits(float(number))} {unit}"
@@ -326,7 +326,7 @@ def _to_two_digits(size: str) -> str:
 
 
 def _size(u: float, unit: str) -> str:
-    """Return a size with the prefix that reads best: "25 µV/g"."""
+    """Return a size with a suitable SI prefix: "25 µV/g"."""
     top, slash, below = unit.partition("/")
     return quantity(u, top) + slash + below
 
@@ -341,12 +341,12 @@ def _as_symbol(name: str) -> dict[str, str]:
 
 
 def verdict(certificate: Certificate, write: Writer) -> list[Block]:
-    """Return the statement of conformity as the first page has it."""
+    """Return the blocks of the statement of conformity on the first page."""
     return verdict_of(certificate.found, write)
 
 
 def verdict_of(found: RunFindings, write: Writer) -> list[Block]:
-    """Return the statement of conformity on what a run found."""
+    """Return the blocks of the statement of conformity for the results of a run."""
     result = found.verification
     if result is None:
         return [write.words("no_conformity")]
@@ -410,7 +410,7 @@ _kept: dict[str, tuple[Any, str]] = {}
 
 
 def _drawn(draw: Callable[[Any], str], of: Any) -> str:
-    """Return a figure; the last one of each kind is kept, for the page is set unsigned and again signed."""
+    """Return a figure; the last one of each kind is cached, because the page is typeset twice."""
     kept = _kept.get(draw.__name__)
     if kept is None or kept[0] is not of:
         _kept[draw.__name__] = kept = (of, draw(of))

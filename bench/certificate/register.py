@@ -1,8 +1,8 @@
-"""The register of what was issued: lines that are only ever added, each with the hash of the one before.
+"""The register of issued certificates: an append-only file whose lines contain the previous line's hash.
 
-A certificate is issued by its line. Its files stand beside it under other names until then, and get their own
-names after it, now or when the register is next opened: whatever happens in between, a number is there with its
-files or is not there at all. One program at a time has the register open.
+A certificate is issued when its line is written. Until then its files have temporary names; they get their
+final names afterwards, or when the register is next opened. After any interruption a number therefore exists
+with its files or not at all. Only one program at a time has the register open.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from bench.services.errors import Refused
 LINES: Final = "register.jsonl"
 MADE_FROM: Final = "made-from"
 WAIT_S: Final = 120.0
-"""How long another program's turn is waited for."""
+"""Longest time (s) to wait for another program to close the register."""
 
 _LOCK: Final = ".register.lock"
 _PART: Final = ".part"
@@ -35,7 +35,7 @@ ISSUED, REVOKED = "issued", "revoked"
 
 @dataclass(frozen=True)
 class Entry:
-    """A line of the register: what happened when (ISO 8601) to which number, by whom, and the rest of it."""
+    """A line of the register: the event, its time (ISO 8601), the number, the person, further details."""
 
     kind: str
     number: str
@@ -51,7 +51,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class NumberStatus:
-    """What is true of a number now: "issued", "amended", "replaced" or "revoked"; `by` what, or why."""
+    """The status of a number: "issued", "amended", "replaced" or "revoked"; `by` the successor, or why."""
 
     entry: Entry
     state: str = ISSUED
@@ -60,7 +60,7 @@ class NumberStatus:
 
 @dataclass
 class Register:
-    """A register that is open: nobody else writes to it. `folder` is where it and the issued files stand."""
+    """An open register, locked against other writers. `folder` contains it and the issued files."""
 
     folder: Path
     standings: dict[str, NumberStatus] = field(default_factory=dict)
@@ -84,11 +84,11 @@ class Register:
         self._put_in_place(self.standings[entry.number].entry)
 
     def revoke(self, entry: Entry) -> None:
-        """Write down that a certificate holds no more. Raises `OSError`."""
+        """Record that a certificate is no longer valid. Raises `OSError`."""
         self._append(entry)
 
     def file(self, name: str) -> bytes:
-        """Return an issued file as it was issued. Raises `Refused` where it is not that any more."""
+        """Return the content of an issued file. Raises `Refused` if it was changed since."""
         number = name.rsplit(".", 1)[0]
         stated = self.standings[number].entry.files.get(name) if number in self.standings else None
         if stated is None:
@@ -102,7 +102,7 @@ class Register:
         return content
 
     def keep(self, content: bytes) -> str:
-        """Keep what a certificate is made from, once whatever is made from it; return its SHA-256."""
+        """Store an input of certificates, identical inputs only once; return its SHA-256."""
         digest = hashlib.sha256(content).hexdigest()
         place = self.folder / MADE_FROM / digest
         if not place.is_file():
@@ -111,7 +111,7 @@ class Register:
         return digest
 
     def kept(self, digest: str) -> bytes:
-        """Return what a certificate was made from. Raises `Refused` where it is not there as it was."""
+        """Return a stored input of a certificate. Raises `Refused` if it is missing or changed."""
         try:
             content = read_regular(self.folder / MADE_FROM / digest)
         except OSError as error:
@@ -121,7 +121,7 @@ class Register:
         return content
 
     def damaged_files(self) -> list[str]:
-        """Say which issued files are missing or changed."""
+        """Return a sentence for each issued file that is missing or changed."""
         wrong = []
         for standing in self.standings.values():
             for name in standing.entry.files:
@@ -152,13 +152,13 @@ class Register:
         self._take(line)
 
     def catch_up(self) -> None:
-        """Read the lines that others have added, finish what was issued. Raises `Refused` for a changed line."""
+        """Read lines that others added; finish interrupted issues. Raises `Refused` for a changed line."""
         self.read_lines()
         for part in self.folder.glob(f"*{_PART}"):
             self._finish(part)
 
     def read_lines(self) -> None:
-        """Read the lines that others have added, and touch nothing. Raises `Refused` for a changed line."""
+        """Read lines that others added, without changing any file. Raises `Refused` for a changed line."""
         path = self.folder / LINES
         if (path.stat().st_size if path.exists() else 0) < self.length:
             raise Refused(f"{path}: lines were taken off its end; take it from a copy")
@@ -205,13 +205,13 @@ class Register:
             raise Refused(f"{where}: {entry.kind} of {entry.number} is nothing that can follow here")
 
     def _put_in_place(self, entry: Entry) -> None:
-        """Give the files of a certificate their own names."""
+        """Rename the temporary files of a certificate to their final names."""
         for name in entry.files:
             (self.folder / (name + _PART)).replace(self.folder / name)
         _sync_folder(self.folder)
 
     def _finish(self, part: Path) -> None:
-        """Give a file that was issued its own name; take away what a program that was killed did not issue."""
+        """Rename a temporary file if it was issued; delete it if a killed program did not issue it."""
         name = part.name.removesuffix(_PART)
         standing = self.standings.get(name.rsplit(".", 1)[0])
         stated = None if standing is None else standing.entry.files.get(name)
@@ -224,9 +224,9 @@ class Register:
 
 @contextlib.contextmanager
 def opened(folder: Path, known: Register | None = None) -> Iterator[Register]:
-    """Open the register in a folder, made where there is none; `known` is one of it that was open before.
+    """Yield the open register of a folder, created if missing; `known` is an earlier object for it.
 
-    Raises `Refused` where it cannot be believed or written, or where another program keeps it open.
+    Raises `Refused` if the register is damaged or not writable, or if another program keeps it open.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -251,7 +251,7 @@ def _write_through(path: Path, content: bytes) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Let the names in a folder outlast a loss of power, where the system can."""
+    """Sync the names in a folder to the disk, where the system can, so that they survive a power loss."""
     if os.name != "posix":
         return
     descriptor = os.open(folder, os.O_RDONLY)

@@ -1,4 +1,4 @@
-"""Who signs: a key in a file or a token, its X.509 certificate, and whether it is trusted."""
+"""Signatories: a key in a file or a token, its X.509 certificate chain, and the check of trust."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 
 SUFFIX: Final = ".crt"
-"""The chain of a key stands beside it, in a file of its name with this added."""
+"""Suffix that is added to the name of a key file to name the file of its certificate chain."""
 _DAYS_IN_FORCE: Final = 3652
 _LEAST_RSA_BITS: Final = 2048
 
 
 @dataclass(frozen=True)
 class Signatory:
-    """A chain of certificates, that of the key first, and what signs with the key.
+    """A signatory: a certificate chain, beginning with the key's, and the function that signs.
 
     `sign` returns a signature over the SHA-256 of a message: ECDSA as DER, RSA by PKCS #1 v1.5.
     """
@@ -37,12 +37,12 @@ class Signatory:
 
     @property
     def name(self) -> str:
-        """Whose key it is, as its certificate says."""
+        """The name of the key's owner according to its certificate."""
         return name_of(self.chain[0])
 
     @property
     def by_curve(self) -> bool:
-        """Whether its signatures are by ECDSA, not by RSA."""
+        """Whether the key signs with ECDSA; otherwise with RSA."""
         from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePublicKey
 
         return isinstance(self.chain[0].public_key(), EllipticCurvePublicKey)
@@ -57,14 +57,14 @@ def name_of(certificate: Certificate) -> str:
 
 
 def fingerprint_of(certificate: Certificate) -> str:
-    """Return the SHA-256 of a certificate (DER), by which people compare certificates."""
+    """Return the SHA-256 of a certificate (DER), with which people compare certificates."""
     from cryptography.hazmat.primitives.hashes import SHA256
 
     return certificate.fingerprint(SHA256()).hex()
 
 
 def new_certificate_key(file: Path, name: str, passphrase: bytes | None, now: datetime) -> tuple[Path, str]:
-    """Make a P-256 key and a certificate of a laboratory that it signs itself, in force for ten years.
+    """Make a P-256 key and a self-signed certificate of a laboratory, valid for ten years.
 
     Return the file of the certificate and its fingerprint. Raises `RecordError` where there is a file already, and
     for a folder that others may enter; `Refused` for a name that no certificate can have.
@@ -98,7 +98,7 @@ def new_certificate_key(file: Path, name: str, passphrase: bytes | None, now: da
 
 
 def signatory_of(key: str, chain: Path | None, passphrase: Callable[[], bytes], now: datetime) -> Signatory:
-    """Return who signs: `key` is a file (PEM) or an address in a token (`pkcs11:…`, RFC 7512).
+    """Return the signatory of a `key`: a file (PEM) or an address in a token (`pkcs11:…`, RFC 7512).
 
     `chain` has the certificates (PEM), that of the key first; without it the file beside the key, or the token has
     it. Raises `RecordError` for a file that others may read or that is no key, `Refused` for what cannot sign now.
@@ -197,9 +197,9 @@ _SHOWN: Final = "pkcs11:token=NAME;object=NAME?module-path=/path/of/the/module.s
 def signatory_in_token(
     address: str, chain: tuple[Certificate, ...] | None, pin: Callable[[], bytes]
 ) -> Signatory:
-    """Return who signs with a key in a token; `pin` is asked for.
+    """Return the signatory for a key in a token; `pin` is called for the PIN.
 
-    `chain` stands for the certificate in the token where it is given. Raises `Refused` for an address that names
+    `chain`, if given, replaces the certificate in the token. Raises `Refused` for an address that names
     not one key, a module that is none, a PIN that the token does not take.
     """
     import pkcs11
@@ -234,7 +234,7 @@ def signatory_in_token(
 
 
 def _parts(address: str) -> tuple[dict[str, Any], str]:
-    """Return what an address says of the key, and its module."""
+    """Return the key attributes in a PKCS #11 address, and the path of its module."""
     body, _, query = address.removeprefix("pkcs11:").partition("?")
     path: dict[str, Any] = {}
     for part in filter(None, body.split(";")):

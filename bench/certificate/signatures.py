@@ -24,22 +24,22 @@ _MOST_BYTES: Final = 64_000_000
 
 
 class NotIntact(Exception):
-    """A signature is not what it should be, or what was signed has been changed; the text says what."""
+    """Raised when a signature is malformed or the signed content was changed; the message says which."""
 
 
 class NoCertificate(NotIntact):
-    """It is nothing that was ever issued."""
+    """Raised for a file that cannot be an issued certificate."""
 
 
 class Unsigned(NotIntact):
-    """Nobody signed it."""
+    """Raised for a document without a signature."""
 
 
 @dataclass(frozen=True)
 class SignedXml:
-    """What a signature stands for: `content`, in canonical form (no comments, no signature), and who signed.
+    """A signed XML: its `content` in canonical form (no comments, no signature), and the signer.
 
-    `signed_at` is what the signer's clock said; `comments` is how many the document has, which nobody signed.
+    `signed_at` is the time by the signer's clock; `comments` counts the comments, which are not signed.
     """
 
     content: bytes
@@ -83,7 +83,7 @@ class _Key:
 
 
 def check_xml(document: bytes) -> SignedXml:
-    """Return what the one signature of a document stands for, whoever made it.
+    """Return the content covered by the only signature of a document, and its signer, trusted or not.
 
     Raises `Unsigned` where there is none, `NotIntact` where there is more than one, where it does not stand for the
     whole document, where it is wrapped or has parts that nobody signed, and where anything signed was changed.
@@ -115,7 +115,7 @@ def check_xml(document: bytes) -> SignedXml:
 
 
 def unsigned_content(document: bytes) -> bytes:
-    """Return what a document without a signature says, in canonical form, without comments. Raises `NotIntact`."""
+    """Return the canonical form of an unsigned document, without comments. Raises `NotIntact`."""
     etree, _, _ = _packages()
     return bytes(etree.tostring(_read(document), method="c14n", with_comments=False))
 
@@ -141,7 +141,7 @@ def _read(document: bytes) -> Any:
 
 
 def _the_signature(root: Any) -> Any:
-    """Return the one signature there is: the last element of the root, with the four parts it should have."""
+    """Return the only signature: the last element of the root, with its four required parts."""
     found = list(root.iter(f"{{{NAMESPACE}}}Signature"))
     if not found:
         raise Unsigned("nobody signed it (no XML signature)")
@@ -226,12 +226,12 @@ def _packages() -> tuple[Any, Any, Any]:
 FIELD: Final = "Certificate"
 _MOST_PDF_BYTES: Final = 256_000_000
 _REVISIONS: Final = 2
-"""The body, and the signature."""
+"""Number of revisions in a signed PDF: the body, and the signature."""
 
 
 @dataclass(frozen=True)
 class SignedPdf:
-    """What a signature stands for, the whole file, and who signed; `signed_at` is what the signer's clock said."""
+    """A signed PDF: the whole file, and who signed; `signed_at` is what the signer's clock said."""
 
     chain: tuple[Certificate, ...]
     signed_at: datetime
@@ -262,7 +262,7 @@ def sign_pdf(body: bytes, signatory: Signatory, now: datetime, reason: str, plac
 
     class Writer(IncrementalPdfFileWriter):
         def ensure_output_version(self, version: Any) -> None:
-            """Leave it at 1.7, on which PDF/A-3 stands; PAdES asks for no more than its extension (ESIC)."""
+            """Keep the version 1.7, which PDF/A-3 requires; PAdES requires only its extension (ESIC)."""
 
     told = signers.PdfSignatureMetadata(
         field_name=FIELD,
@@ -282,7 +282,7 @@ def sign_pdf(body: bytes, signatory: Signatory, now: datetime, reason: str, plac
 
 
 def check_pdf(file: bytes) -> SignedPdf:
-    """Return who signed a PDF, whoever it is.
+    """Return the verified signature of a PDF, whether or not its signer is trusted.
 
     Raises `Unsigned` where there is no signature, `NotIntact` where there is more than one, where it does not cover
     every byte but itself, where anything was appended after it, and where what it covers was changed.
@@ -333,7 +333,7 @@ def _check_cover(file: bytes, signature: Any) -> None:
 
 
 def _written_anew(content: bytes) -> bytes:
-    """Return the one DER value at the start of padded bytes as it is written by the rules, lengths and all."""
+    """Return the DER value at the start of padded bytes, encoded anew by the rules of DER."""
     from asn1crypto.cms import ContentInfo
 
     return bytes(ContentInfo.load(content, strict=False).dump(force=True))

@@ -1,4 +1,4 @@
-"""A certificate looked at: both signatures, what they agree on, register and record where they are at hand."""
+"""Verification of a certificate: both signatures, their agreement, and register and record if available."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ UNKNOWN: Final = (
 
 @dataclass
 class Verdict:
-    """What was found of a certificate; `wrong` says why it is not intact, `agreed` what was held against what.
+    """The findings on a certificate: `wrong` says why it is not intact, `agreed` lists the comparisons made.
 
     `why_not_trusted` is None without a trust file, "" where it stands for the signer. `shown` is what it says: what
     was signed, unless it is `unsigned`. `standing` is None where no register is at hand. `issued` tells that it was
@@ -90,12 +90,12 @@ class Verdict:
 
     @property
     def intact(self) -> bool:
-        """Whether nothing speaks against it."""
+        """Whether the verification found nothing wrong."""
         return not self.wrong
 
     @property
     def accepted(self) -> bool:
-        """Whether it is intact, by whom the trust file stands for, and holds, as far as that was asked.
+        """Whether the certificate is intact, its signer trusted, and its number valid, as far as requested.
 
         What nobody signed is accepted by a register that was named alone: one beside the file anybody can write.
         """
@@ -105,12 +105,12 @@ class Verdict:
 
     @property
     def _by_register(self) -> bool:
-        """Whether a register that was named has this very file."""
+        """Whether the register that the user named contains exactly this file."""
         return self.standing is not None and self.standing.named and self.standing.known
 
     @property
     def headline(self) -> str:
-        """The verdict in a line."""
+        """The verdict in one line."""
         if not self.intact:
             return "CHANGED" if self.issued else "NO CERTIFICATE"
         if self.unsigned:
@@ -123,7 +123,7 @@ class Verdict:
         return of_signer if self.standing is None else of_signer + self.standing.words
 
     def result(self) -> VerifyResult:
-        """Return it as `bench certificate verify` has it; what it says only where it is intact."""
+        """Return the result of `bench certificate verify`; it has the certificate's values only if intact."""
         says = self.shown.part() if self.shown is not None and self.intact else None
         return VerifyResult(
             file=self.file,
@@ -145,9 +145,9 @@ class Verdict:
 
 
 def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Path | None = None) -> Verdict:
-    """Look at a certificate, PDF or XML, and at the other form of it where that stands beside it.
+    """Return the findings on a certificate, PDF or XML, and on its other form if that lies beside it.
 
-    `trust` has the certificates (PEM) of signers, or of authorities, that are believed. `register` is the folder of
+    `trust` contains the certificates (PEM) of trusted signers or authorities. `register` is the folder of
     the laboratory's register; where it is not given, the one in which the file stands. Raises `Refused` for files
     that cannot be read, and for a register that cannot be believed.
     """
@@ -200,7 +200,7 @@ def _content(file: Path) -> bytes:
 
 
 def _verify_xml(verdict: Verdict, document: bytes, trusted: Sequence[Certificate] | None) -> SignedXml | None:
-    """Look at an XML; return what was signed, None where nobody signed it."""
+    """Verify an XML; return its signed content, None if it is unsigned."""
     signed, content = _signed_or_not(document)
     if signed is not None:
         _name_signer(verdict, signed, trusted)
@@ -223,7 +223,7 @@ def _verify_xml(verdict: Verdict, document: bytes, trusted: Sequence[Certificate
 
 
 def _signed_or_not(document: bytes) -> tuple[SignedXml | None, bytes]:
-    """Return what was signed of an XML, None where nobody signed it, and what it says."""
+    """Return the signature of an XML, None if it is unsigned, and the content of the XML."""
     try:
         signed = check_xml(document)
     except Unsigned:
@@ -283,7 +283,7 @@ def _agree(verdict: Verdict, shown: ShownValues, attached: dict[str, bytes], tit
 
 
 def _hold_together(verdict: Verdict, file: bytes, document: bytes, name: str) -> None:
-    """Hold an XML against the PDF beside it."""
+    """Compare an XML with the PDF beside it."""
     apart = Verdict(name)
     try:
         attached = _verify_pdf(apart, file, None)
@@ -372,9 +372,9 @@ def _against_record(verdict: Verdict, shown: ShownValues, runs: Path) -> None:
 
 @dataclass(frozen=True)
 class Held:
-    """What came of it: `wrong` says in what the other one differs, `told` what was held against it.
+    """The outcome of a comparison: `wrong` states the differences, `told` the comparisons made.
 
-    `open` says what was not proved by it.
+    `open` states what the comparison could not prove.
     """
 
     told: str = ""
@@ -383,7 +383,7 @@ class Held:
 
 
 def held_against_record(shown: ShownValues, runs: Path) -> Held | None:
-    """Hold a certificate against its run among `runs`; None where that is not there, or is another of its name.
+    """Compare a certificate with its run in `runs`; None if it is missing or another run has its name.
 
     The record is that of the certificate where it begins with the same inputs (`run.json`): then its chain must end
     as the seal says, and its readings must give the result: to the last digit on the computer that gave it first,
@@ -424,7 +424,7 @@ def held_against_record(shown: ShownValues, runs: Path) -> Held | None:
 
 
 def _asked(shown: ShownValues) -> VerdictOptions:
-    """Return the decision rule that the certificate states: it may have been agreed for it alone."""
+    """Return verdict options with the certificate's own decision rule, which may differ from the record's."""
     try:
         told = json.loads(shown.files["result.json"])["verification"]
         rule = DecisionRule.of_json(told) if told else DecisionRule()
@@ -436,11 +436,11 @@ def _asked(shown: ShownValues) -> VerdictOptions:
 
 
 _SAME: Final = 1e-6
-"""Results that differ by no more, in units of u, are the same ones rounded otherwise."""
+"""Largest difference, in units of u, that is attributed to rounding."""
 
 
 def _as_good_as(found: RunFindings, shown: ShownValues) -> bool:
-    """Whether coefficients, covariance and verdict of a record are those of a certificate but for rounding."""
+    """Whether a record's coefficients, covariance and verdict equal the certificate's, up to rounding."""
     own = found.coefficients
     u = np.array([one.u for one in own.values])
     off = np.abs(

@@ -23,12 +23,14 @@ Cell = tuple[str, int]
 
 
 def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
-    """Yield labels of what may belong together: the later passes of a mounting, one pass, a whole mounting.
+    """Yield the sets of passes or mountings, by their labels, on which an effect may act.
 
-    A whole mounting only where its installation was mounted more than once: of one that was not, nothing says
-    that the block ever sat otherwise, and how it sat are the angles of its mounting. With `lasting` any mounting,
-    and all that comes after a pass, verification points included: what stays through a remount.
-    A mounting all passes of which belong to it is named by itself.
+    They are the later passes of a mounting, a single pass and a whole mounting.
+
+    A whole mounting is yielded only where its installation was mounted more than once. The mounting angles
+    describe an installation that was mounted only once. With `lasting`, for effects that outlast a remount,
+    any mounting is yielded, and also everything after a pass, verification points included.
+    A mounting with all its passes in the set is named by its own label.
     """
     mounts = [
         label if series == 1 else f"{label}/{series}"
@@ -79,10 +81,10 @@ SUBSETS: Final = tuple(
 
 ROUND: Final = ("cosine", "sine")
 LEADS: Final = (ROUND, "across_")
-"""Parameters that belong together, amplitude and phase of one wave: with the same lead of their names."""
+"""Prefixes of parameter names. Cosine and sine with the same prefix describe one wave and belong together."""
 
 SLIP: Final = "block_slip"
-"""What is looked for by a threshold of its own, too."""
+"""The effect that the search also tests against a threshold of its own."""
 ZERO_BY_RUN: Final = "zeros_by_run"
 SCALE_BY_RUN: Final = "scale_by_run"
 STEP_AFTER: Final = "step"
@@ -96,12 +98,12 @@ UNNAMED: Final = (
     FREE_BY_ANGLE, FREE_BY_PASS, HEAD_ANGLE, SLOW_IN_TIME, STEP_AFTER, SINGLE_READING, SINGLE_SETTING,
     ZERO_BY_RUN, SCALE_BY_RUN,
 )  # fmt: skip
-"""Families that no physics stands behind."""
+"""Families of empirical signatures without a physical cause in the catalogue."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """One number that is to be estimated: a parameter of an effect, of a channel, at mountings (all if none)."""
+    """One number to be estimated: a parameter in a channel (None: all), at `mounts` (empty: all)."""
 
     parameter: str
     channel: int | None
@@ -110,9 +112,10 @@ class Column:
 
 @dataclass(frozen=True)
 class Variant:
-    """One form of a family: which columns of `Candidates.columns` it has, and what they stand for.
+    """One form of a family: its columns of `Candidates.columns`, and the channels and mountings of it.
 
-    `shape` holds the values of shape parameters, SI.
+    `shape` holds the values of the shape parameters in SI. `where` says in words where an unnamed family
+    acts.
     """
 
     family: str
@@ -124,16 +127,16 @@ class Variant:
 
     @property
     def named(self) -> bool:
-        """Whether it is an effect of the catalogue."""
+        """Whether the family is an effect of the catalogue."""
         return self.family in CATALOGUE
 
 
 @dataclass
 class Candidates:
-    """All variants, and their columns (N, P) for one prior standard deviation of each.
+    """All variants that the search compares, with their columns (N, P), each for one plausible size.
 
-    `kinds` says of each column what it stands for, `scale` what its unit is worth in SI (1 where unnamed).
-    `by_family` orders the variants by family, each of which begins at its `family_starts`.
+    `kinds` names the parameter of each column. `scale` is its plausible size in SI (1 where it is unnamed).
+    `by_family` orders the variants by family; each family begins at its entry in `family_starts`.
     """
 
     columns: Floats
@@ -145,7 +148,7 @@ class Candidates:
     family_starts: Ints = field(init=False)
 
     def __post_init__(self) -> None:
-        """Collect the names of the families in order, and where their variants are."""
+        """Collect the names of the families in order, and index the variants by family."""
         self.families = tuple(dict.fromkeys(v.family for v in self.variants))
         place = {name: i for i, name in enumerate(self.families)}
         member = np.array([place[v.family] for v in self.variants])
@@ -154,14 +157,14 @@ class Candidates:
 
     @cached_property
     def slips(self) -> list[int]:
-        """The numbers of the variants of a slip about any axis, one for each of the passes that it may be in."""
+        """The indices of the variants of a block slip about an arbitrary axis, one for each set of passes."""
         if SLIP not in self.families:
             return []
         whole = len(CATALOGUE[SLIP].parameters)
         return [i for i in self.of_family(SLIP) if len(self.variants[i].columns) == whole]
 
     def of_family(self, family: str) -> list[int]:
-        """Return the numbers of a family's variants."""
+        """Return the indices of a family's variants."""
         place = self.families.index(family)
         stop = self.family_starts[place + 1] if place + 1 < len(self.families) else len(self.by_family)
         members: list[int] = self.by_family[self.family_starts[place] : stop].tolist()
@@ -169,7 +172,7 @@ class Candidates:
 
 
 class Collector:
-    """What is gathered of columns and of the variants that they make up."""
+    """Collector of columns and of the variants that they form; `make_candidates` reads it at the end."""
 
     def __init__(self, linear: LinearSystem) -> None:
         self.linear = linear
@@ -187,7 +190,7 @@ class Collector:
         shape: tuple[tuple[str, float], ...],
         mounts: tuple[str, ...],
     ) -> dict[int | None, Floats]:
-        """Return what `plausible_columns` does; where no row looks back, mountings have a part of the whole."""
+        """Return the columns of `plausible_columns`, cut from the whole where the effect has no memory."""
         if not mounts or effect.needs_history or effect.needs_path or effect.lasts:
             return plausible_columns(self.linear, effect, parameter, shape, mounts)
         key = (effect.name, parameter.name, shape)
@@ -199,7 +202,7 @@ class Collector:
         return {channel: np.where(rows, column, 0.0) for channel, column in self._everywhere[key].items()}
 
     def add(self, column: Floats, kind: Column, scale: float) -> int:
-        """Add a column (N,) for one plausible size, `scale` in SI; return its number."""
+        """Add a column (N,) for one plausible size, which is `scale` in SI. Return its index."""
         self.columns.append(column)
         self.kinds.append(kind)
         self.scale.append(scale)
@@ -214,7 +217,7 @@ class Collector:
         *,
         several: bool = False,
     ) -> None:
-        """Add a family without a name; of one that needs `several` columns there is no variant with one."""
+        """Add a variant of an unnamed family. With `several`, a variant with only one column is dropped."""
         kind = Column(family, channels[0] if len(channels) == 1 else None)
         places = tuple(self.add(column, kind, 1.0) for column in columns)
         if len(places) > several:
@@ -222,7 +225,7 @@ class Collector:
 
 
 MountSets = Callable[[LinearSystem, Effect], Iterator[tuple[tuple[str, ...], ...]]]
-"""Sets of groups of mountings that an effect may have: each group has parameters of its own; () is everywhere."""
+"""Yields sets of groups of mountings for an effect. Each group has its own parameters; () is everywhere."""
 
 
 def make_candidates(
@@ -233,10 +236,11 @@ def make_candidates(
     *,
     absent: Collection[str] = (),
 ) -> Candidates:
-    """Collect all that might be missing in these readings, but for effects that are `absent` from the bench.
+    """Collect every effect that the model may lack for these readings, except the effects in `absent`.
 
-    `unit_noise` is the size of the noise of a reading, unit of the signal: what is unnamed has no other scale.
-    Several runs have other `mount_sets` and other families that are `unnamed` than one.
+    `unit_noise` is the noise of a reading in the unit of the signal. It sets the scale of the unnamed
+    families. For several runs the caller replaces `mount_sets` and the function that adds the `unnamed`
+    families.
     """
     collector = Collector(linear)
     for effect in CATALOGUE.values():
@@ -253,7 +257,7 @@ def make_candidates(
 
 
 def in_volts(effect: Effect) -> bool:
-    """Whether it is so many microvolts large: signals in counts or g are not voltages, and it has no size there."""
+    """Whether the effect has a parameter in volts. It has no plausible size for signals in counts or g."""
     return any(parameter.unit.partition("/")[0].endswith("V") for parameter in effect.parameters)
 
 
@@ -326,7 +330,7 @@ def _add_form(
 
 
 def _parameter_sets(effect: Effect, parameters: list[Parameter]) -> Iterator[tuple[str, ...]]:
-    """Yield sets of parameters that may be there without the others."""
+    """Yield the sets of parameters that may be present without the other parameters of the effect."""
     if effect.apart:
         yield from effect.apart
         return
@@ -340,7 +344,7 @@ def _parameter_sets(effect: Effect, parameters: list[Parameter]) -> Iterator[tup
 
 
 MOST_APART: Final = 3
-"""An effect with more parameters than this has them all or none."""
+"""The parameters of an effect with more than this many are not tried one by one."""
 
 
 def plausible_columns(
@@ -350,7 +354,7 @@ def plausible_columns(
     shape: tuple[tuple[str, float], ...],
     mounts: tuple[str, ...],
 ) -> dict[int | None, Floats]:
-    """Return what a parameter of plausible size adds to the rows (N,), for each channel or, under None, for all."""
+    """Return the change of the rows (N,) by a parameter of plausible size, by channel (None: all)."""
     values: dict[str, Floats] = {name: np.asarray(value) for name, value in shape}
     size = parameter.plausible
     values[parameter.name] = np.full(3, size) if parameter.per_channel else np.asarray(size)
@@ -363,7 +367,7 @@ def plausible_columns(
 # --- families without a name ------------------------------------------------------------------------
 
 WAVES: Final = 6
-"""Half waves over a run by which something slow in time is described."""
+"""Number of half waves over a run that describe a slow change in time."""
 
 
 def _add_unnamed(collector: Collector, unit: float) -> None:
@@ -402,14 +406,14 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
 
 
 def each(mine: Mask, *labels: Iterable[object]) -> Iterator[Floats]:
-    """Yield for each combination of labels, in order, 1 in the rows of `mine` that have it and 0 in all others."""
+    """Yield a column for each combination of labels: 1 in the rows of `mine` that have it, else 0."""
     keys = list(zip(*labels, strict=True))
     for key in dict.fromkeys(itertools.compress(keys, mine)):
         yield np.array([own and k == key for k, own in zip(keys, mine, strict=True)], dtype=np.float64)
 
 
 def _phase(linear: LinearSystem) -> Floats:
-    """Return how far in the run the rows are, 0 to 1, by time or where there is none by their order."""
+    """Return the position of each row in the run, 0 to 1, by time, or by order where times are missing."""
     time = linear.readings.time_s[linear.rows.reading]
     timed = np.all(np.isfinite(time)) and np.ptp(time) > 0
     t = time if timed else linear.rows.reading.astype(np.float64)
@@ -418,9 +422,9 @@ def _phase(linear: LinearSystem) -> Floats:
 
 @dataclass(frozen=True)
 class KnownBench:
-    """What decides which effects can be there; None where nobody says it.
+    """Properties of the bench that rule effects out; None where a property is unknown.
 
-    `own_meters`: each channel has a meter of its own. `fixed_ranges`: no meter changes its range.
+    `own_meters`: each channel has its own voltmeter. `fixed_ranges`: no voltmeter changes its range.
     `scale_on_axis`: the head's scale sits on the axis that turns the block, and no gear is between them.
     """
 
@@ -430,7 +434,7 @@ class KnownBench:
 
     @classmethod
     def of(cls, bench: BenchFile) -> KnownBench:
-        """Return what a bench file says: in it the ranges of voltmeters are fixed."""
+        """Return the properties that a bench file states. Its voltmeter ranges are always fixed."""
         meters = bench.instruments.voltmeters
         return cls(
             own_meters=all(len(meter.channels) == 1 for meter in meters),
@@ -439,9 +443,9 @@ class KnownBench:
         )
 
     def absent(self, readings: Readings) -> dict[str, str]:
-        """Return the effects of the catalogue that cannot be there, each with the reason.
+        """Return the effects of the catalogue that this bench cannot have, each with the reason.
 
-        What the record says of its ranges counts for more than what the bench file says.
+        The ranges in the record take precedence over the bench file.
         """
         fixed, said = self.fixed_ranges, "the bench file has fixed ranges"
         recorded = {str(text).strip() for text in readings.extra.get("range_v", ())} - {""}
@@ -456,7 +460,7 @@ class KnownBench:
         return {name: why[name] for name in CATALOGUE if why.get(name)}
 
     def not_judged(self, readings: Readings) -> str:
-        """Return which effects are looked for as nobody says that the bench cannot have them; or nothing."""
+        """Return a sentence on effects that are searched as the bench is unknown, or an empty string."""
         recorded = {str(text).strip() for text in readings.extra.get("range_v", ())} - {""}
         unknown = {
             "range_offset": self.fixed_ranges is None and not recorded,
@@ -474,4 +478,4 @@ class KnownBench:
 
 
 NOTHING_KNOWN = KnownBench()
-"""Of a bench of which nobody says anything."""
+"""The properties of an unknown bench: no effect is ruled out."""

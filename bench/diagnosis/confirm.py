@@ -1,7 +1,7 @@
-"""A model found in other readings held against new ones: with it and without, and what its effects are now.
+"""Confirmation of a model from other readings: new readings are fitted with and without its effects.
 
-The effects keep their values; coefficients and stand angles, within their limits, are estimated from the new
-readings by the model with them and by the same one without. What is left is compared with their noise.
+The effects keep their values. Coefficients and stand angles, within their limits, are estimated from the new
+readings once with the effects and once without. The residuals of both fits are compared with the noise.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from bench.readings.table import Readings
 Word = Literal["confirmed", "changed", "gone"]
 
 TOLD: Final = 0.5
-"""A parameter is told where the readings leave less than this part of its wide prior."""
+"""The readings determine a parameter where its u is below this fraction of its wide prior."""
 
 STILL_SEEN: Final = 0.5
-"""What leaves this part of the square by which the effects stand out does not stand for them."""
+"""A further effect is estimated too where it leaves at least this fraction of the squared signal-to-noise."""
 
 POWER: Final = 2.0
-"""Beyond what would be significant, in units of noise: an effect so large is seen nearly always."""
+"""Margin above the significance limit, in units of noise. An effect that large is nearly always detected."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """What a model leaves of readings: reduced chi-square, root mean square in g, and that of noise alone."""
+    """Residuals of a model: reduced chi-square, root mean square in g, and its expectation from noise."""
 
     reduced: float
     rms_g: float
@@ -53,10 +53,10 @@ class Model:
 
 @dataclass(frozen=True)
 class EffectNow:
-    """An effect of the model in the new readings: its verdict, None where they do not show it.
+    """An effect of the model in the new readings, with its verdict (None: they could not show the effect).
 
-    `p_same` is the chance of values so far from the model's, `p_none` of values so far from none; `found` are those
-    of the model and `now` those of these readings alone.
+    `p_same` is the p-value of no change from the model's values; `p_none` is the p-value of no effect at all.
+    `found` are the values in the model, `now` the values estimated from the new readings alone.
     """
 
     applied: AppliedEffect
@@ -69,9 +69,10 @@ class EffectNow:
 
 @dataclass(frozen=True)
 class Confirmation:
-    """New readings without and with a model's effects; `diagnosis` is that of the readings with it.
+    """Result of a confirmation: new readings without and with a model's effects.
 
-    It is a `FreeDiagnosis` where free positions are all there is.
+    `diagnosis` is the diagnosis of the new readings with the model, a `FreeDiagnosis` for free positions
+    alone. `p_after` is the probability of so large a chi-square with the effects in the model.
     """
 
     before: Model
@@ -82,12 +83,16 @@ class Confirmation:
 
     @property
     def closed(self) -> float | None:
-        """The part of what is above the floor that the model closes; None where nothing is above it."""
+        """The fraction of the gap above the floor that the model closes; None where there is no gap."""
         return part_closed(self.before.reduced, self.after.reduced)
 
     @property
     def verdict(self) -> Word:
-        """Confirmed where all effects that show are as they were and half of the gap closes; gone where none is."""
+        """The verdict: gone where all visible effects are gone; else confirmed or changed.
+
+        Confirmed means that all visible effects are unchanged, and the gap closes by `LEAST_CLOSED` or is
+        chance.
+        """
         words = {effect.verdict for effect in self.effects} - {None}
         if words == {"gone"}:
             return "gone"
@@ -102,9 +107,10 @@ def confirm(
     nominal_scale_factors: Floats | None = None,
     cache: ThresholdCache | None = None,
 ) -> Confirmation:
-    """Hold new readings against a model with effects; all as for `diagnose`, which looks for what is left.
+    """Compare new readings with a model with effects, and diagnose them for further effects.
 
-    Raises `CalibrationError` where the readings do not determine the coefficients, or could not show the effects.
+    The arguments are those of `diagnose`. Raises `CalibrationError` where the readings do not determine the
+    coefficients, or could not show the effects.
     """
     diagnosis = diagnose(readings, model, stand_u, nominal_scale_factors, cache)
     corrected, noise = diagnosis.mistakes.corrected, diagnosis.noise
@@ -125,7 +131,7 @@ def confirm(
 
 
 def _left(linear: LinearSystem, noise: NoiseSize) -> tuple[Model, float]:
-    """Return what a model leaves, and its chi-square: its effects at their values, uncertain as stated."""
+    """Return the residuals of a model and its chi-square, with the effects at their values and stated u."""
     stated = [unknown.stated for unknown in linear.problem.effects]
     keep = np.ones(linear.random.shape[1], dtype=bool)
     keep[linear.own] = stated
@@ -154,9 +160,10 @@ def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
 
 
 def _now(linear: LinearSystem, diagnosis: Diagnosis) -> tuple[EffectNow, ...]:
-    """Estimate the effects from these readings alone, and compare. Raises `CalibrationError` where none shows.
+    """Estimate the effects from these readings alone, and compare them with the model.
 
-    What the model leaves open of their shapes stays as it states it: these readings alone do not tell it better.
+    The open parts of their shapes (`InPart`) keep the model's values, as these readings alone determine them
+    no better. Raises `CalibrationError` where the readings could show no effect.
     """
     model = linear.model
     whole = [not isinstance(model.effects[one.effect].effect, InPart) for one in linear.problem.effects]
@@ -173,7 +180,10 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis) -> tuple[EffectNow, ...]:
 
 @dataclass(frozen=True)
 class EstimatedEffects:
-    """Parameters of effects (m,) in plausible sizes: those of the model with u, and `change` to these readings'."""
+    """Parameters of effects (m,) in plausible sizes: `found` in the model with `u`, and their `change` since.
+
+    `change` is the estimate from the new readings less `found`, with its `covariance` (m, m).
+    """
 
     plausible: Floats
     found: Floats
@@ -185,7 +195,7 @@ class EstimatedEffects:
 def judged(
     model: ForwardModel, unknowns: Sequence[EffectUnknown], of: EstimatedEffects
 ) -> tuple[EffectNow, ...]:
-    """Return what became of each effect of a model. Raises `CalibrationError` where none shows."""
+    """Return the verdict on each effect of a model. Raises `CalibrationError` where no effect could show."""
     plausible, found, u, change, covariance = of.plausible, of.found, of.u, of.change, of.covariance
     known = np.sqrt(np.diag(covariance))
     told = known < TOLD * KNOWN_SIZE
@@ -221,10 +231,10 @@ def judged(
 def _estimated(
     linear: LinearSystem, own: Floats, found: Floats, diagnosis: Diagnosis
 ) -> tuple[Floats, Floats]:
-    """Return by how much the effects differ from the values `found` (m,), and the covariance, in plausible sizes.
+    """Return the change of the effects from the values `found` (m,), and its covariance, in plausible sizes.
 
-    What else was found in these readings is estimated with them, unless it would hide them: it stands then for
-    their change.
+    Further effects found in these readings are estimated as well. One that would hide the model's effects is
+    left out, as it then represents their change.
     """
     count, columns = len(found), own
     fitted = posterior(linear, columns, diagnosis.noise)
@@ -248,12 +258,12 @@ def _word(p_same: float, p_none: float) -> Word:
 
 
 def _least(count: int) -> float:
-    """Return the size in units of noise from which an effect of so many numbers is seen nearly always."""
+    """Return the size in units of noise at which an effect of `count` parameters is nearly always seen."""
     return float(np.sqrt(special.chdtri(count, BY_CHANCE))) + POWER if count else float("inf")
 
 
 def square(part: Floats, covariance: Floats) -> float:
-    """Return the square of a part of the parameters in units of their noise."""
+    """Return the chi-square of a subset of the parameters with this covariance."""
     return float(part @ np.linalg.solve(covariance, part)) if len(part) else 0.0
 
 

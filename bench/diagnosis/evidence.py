@@ -4,9 +4,10 @@ For a variant with whitened columns A, prior b ~ N(0, s^2) of each in units of i
 residual r of nu numbers with unknown variance (Jeffreys prior), the evidence is
 -1/2 ln|I + s^2 A^T A| - nu/2 ln(r^T r - r^T A (A^T A + 1/s^2)^-1 A^T r). It is averaged over a few s (a
 plausible size is a guess: a heavy tail lets the data overrule it) and over the ratio of the two noise sizes.
-Everything needed of data is r^T r and A^T r, so that many data sets are scored at once.
+The evidence depends on the data only by r^T r and A^T r, so that many data sets are scored at once.
 
-The threshold is what chance alone gives: the same search on simulated readings in which nothing is missing.
+The threshold is the evidence that chance alone reaches: the same search runs on simulated readings in which
+nothing is missing.
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ from bench.model.effects import FormulaEffect
 
 SIZES: Final = (1.0, 4.0, 20.0)
 LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))
-"""Prior: so many plausible sizes large, with such a probability."""
+"""Prior of an effect: ln of the probability of each of `SIZES`, which are in plausible sizes."""
 
 KNOWN_SIZE: Final = 20.0
-"""Prior size of an effect that the model has by now, in plausible sizes: the data decide."""
+"""Prior size, in plausible sizes, of an effect already in the model: wide, so that the data determine it."""
 
 EXCLUDED: Final = -1e9
-"""ln of the evidence of a variant that the model has in part already."""
+"""ln of the evidence assigned to a variant with a column that the model already has."""
 
 CHUNK: Final = 200
 """Data sets scored at once."""
@@ -47,7 +48,7 @@ CHUNK: Final = 200
 
 @dataclass(frozen=True)
 class Data:
-    """What is needed of data sets: r^T r (ratios, sets) and A^T r (ratios, P, sets)."""
+    """Products of data sets that the evidence needs: r^T r (ratios, sets) and A^T r (ratios, P, sets)."""
 
     square: Floats
     along: Floats
@@ -57,20 +58,21 @@ class Data:
         return Data(self.square[ratio : ratio + 1], self.along[ratio : ratio + 1])
 
     def part(self, of: slice) -> Data:
-        """Return some of the sets."""
+        """Return the data sets in the slice `of`."""
         return Data(self.square[:, of], self.along[:, :, of])
 
     @property
     def sets(self) -> int:
-        """How many data sets."""
+        """The number of data sets."""
         return int(self.square.shape[1])
 
 
 @dataclass(frozen=True)
 class Whitened:
-    """The candidates' columns in units of the noise, by their scalar products.
+    """The candidates' columns in units of the noise, represented by their scalar products.
 
-    `kept` is for who searches in the same data again and again; `part_of` is the whole of what is one ratio of it.
+    `kept` caches the results of repeated searches in the same data. For a part with one noise ratio,
+    `part_of` is the whole that it was taken from, and the index of that ratio.
     """
 
     grid: NoiseGrid
@@ -81,7 +83,7 @@ class Whitened:
 
     @classmethod
     def of(cls, grid: NoiseGrid, candidates: Candidates, *, few_known: bool = False) -> Whitened:
-        """Whiten the columns of all candidates; with `few_known` no products are made but what models need."""
+        """Whiten the columns of all candidates. With `few_known`, products are computed only on demand."""
         rows, many = candidates.columns.shape
         scaled = candidates.columns / grid.sigma
         if many > rows or few_known:
@@ -97,11 +99,11 @@ class Whitened:
 
     @property
     def ratios(self) -> int:
-        """How many ratios of the noise sizes there are."""
+        """The number of ratios of the noise sizes."""
         return len(self.grid.white)
 
     def at(self, ratio: int) -> Whitened:
-        """Return the columns for one ratio alone."""
+        """Return the whitened columns for the noise ratio with the index `ratio` only."""
         return Whitened(self.grid.at(ratio), self.candidates, self.products.at(ratio), (self, ratio))
 
     def among(self, ratio: int, columns: Sequence[int]) -> Floats:
@@ -132,7 +134,7 @@ class Whitened:
         )
 
     def reduce(self, response: Floats) -> Data:
-        """Return what is needed of responses (N, sets)."""
+        """Return the products of responses (N, sets) that the evidence needs."""
         sets, size = response.shape[1], self.grid.sigma
         square = np.empty((len(self.grid.white), sets))
         along = np.empty((len(self.grid.white), self.candidates.columns.shape[1], sets))
@@ -147,7 +149,10 @@ class Whitened:
 
 @dataclass(frozen=True)
 class Group:
-    """Variants with equally many columns; eigenvectors (ratios, variants, p, p), eigenvalues (…, p)."""
+    """Variants with equally many columns p, and their Gram matrices beside the known columns.
+
+    The matrices are decomposed: eigenvectors `vectors` (ratios, variants, p, p), eigenvalues `values` (…, p).
+    """
 
     members: Ints
     columns: Ints
@@ -157,10 +162,11 @@ class Group:
 
 @dataclass(frozen=True)
 class Search:
-    """All variants beside a model that has the `known` columns already.
+    """A search over all variants beside a model that already has the `known` columns.
 
-    `inner` (ratios, known, known) is the Gram matrix of the known columns with their wide prior, `half` (ratios,
-    known, P) the products with all others behind its inverse Cholesky factor, `gain` (ratios, known, P) fits them.
+    `inner` (ratios, known, known) is the Gram matrix of the known columns with their wide prior. `half`
+    (ratios, known, P) is its inverse Cholesky factor times their products with all columns. `gain` (ratios,
+    known, P) fits all columns by the known ones.
     """
 
     whitened: Whitened
@@ -179,7 +185,7 @@ class Search:
 
     @classmethod
     def _of(cls, whitened: Whitened, known: tuple[int, ...], across: Floats, among: Floats) -> Search:
-        """Project columns out whose products with all are `across` (…, k, P), with each other `among` (…, k, k)."""
+        """Project out columns: products `across` (…, k, P) with all, `among` (…, k, k) each other."""
         inner = among + np.eye(among.shape[-1]) / KNOWN_SIZE**2
         factor = np.linalg.cholesky(inner)
         inverse = np.linalg.inv(factor)
@@ -191,7 +197,7 @@ class Search:
 
     @cached_property
     def groups(self) -> tuple[Group, ...]:
-        """The variants that have none of the known columns."""
+        """The variants without any of the known columns, grouped by their number of columns."""
         taken = np.zeros(self.whitened.candidates.columns.shape[1], dtype=bool)
         taken[list(self.known)] = True
         groups = []
@@ -216,7 +222,7 @@ class Search:
 
     @cached_property
     def _together(self) -> tuple[Ints, Ints, Floats]:
-        """The groups' members (v,), where the eigenvalues of each begin (v,), and these (ratios, e)."""
+        """Members of all groups (v,), the offset (v,) of each one's eigenvalues, and these (ratios, e)."""
         values = [group.values for group in self.groups]
         counts = np.concatenate([np.full(of.shape[1], of.shape[2]) for of in values])
         starts = np.cumsum(counts) - counts
@@ -224,19 +230,19 @@ class Search:
         return np.concatenate([group.members for group in self.groups]), starts, flat
 
     def between(self, ratio: int, columns: Sequence[int]) -> Floats:
-        """Return the Gram matrix (k, k) of some columns, the known ones projected out."""
+        """Return the Gram matrix (k, k) of some columns with the known columns projected out."""
         gram = self.whitened.among(ratio, columns)
         seen = self.half[ratio][:, list(columns)]
         return np.asarray(gram - seen.T @ seen)
 
     def along(self, ratio: int, columns: Sequence[int], sizes: Floats) -> Floats:
-        """Return the products of columns (k,) times their sizes with all, the known ones projected out, (P,)."""
+        """Return the products (P,) of a weighted sum of columns with all, known ones projected out."""
         chosen = np.array(columns, dtype=np.int64)
         across = sizes @ self.whitened.products.across_at(ratio, chosen)
         return np.asarray(across - (self.half[ratio][:, chosen] @ sizes) @ self.half[ratio])
 
     def left_over(self, data: Data) -> Data:
-        """Return the data with the known columns fitted."""
+        """Return the products of the data with the known columns fitted and subtracted."""
         if not self.known:
             return data
         at_known = data.along[:, list(self.known)]
@@ -245,9 +251,9 @@ class Search:
         return Data(data.square - explained, data.along - fitted)
 
     def likelihood_ratio(self, data: Data, members: Sequence[int]) -> Floats:
-        """Return ln of the largest ratio of likelihoods that one of some variants gives, or 0, shape (sets,).
+        """Return ln of the largest likelihood ratio among the variants `members`, at least 0, shape (sets,).
 
-        Its numbers are as free as those that the model has by now, and pay no price for it.
+        Their parameters have the wide prior of known columns, without a penalty for their number.
         """
         left, grid = self.left_over(data), self.whitened.grid
         base = (grid.log_prior + grid.log_det + self.log_det)[:, None]
@@ -264,7 +270,7 @@ class Search:
         return best
 
     def score(self, data: Data) -> Scores:
-        """Return the evidence of each variant and of the model as it is."""
+        """Return the evidence of each variant relative to the model without it."""
         left = self.left_over(data)
         begun = tracked(range(0, left.sets, CHUNK), "what chance alone would show")
         parts = [self._score(left.part(slice(i, i + CHUNK))) for i in begun]
@@ -284,7 +290,7 @@ class Search:
         return Scores(out - null, np.exp(of_null - null))
 
     def _likelihoods(self, left: Data) -> Floats:
-        """Return ln of the likelihood of the data with each member of the groups, shape (ratios, v, sets)."""
+        """Return ln of the marginal likelihood of the data with each variant, shape (ratios, v, sets)."""
         grid = self.whitened.grid
         _, starts, values = self._together
         squares = np.concatenate([_along(group, left) for group in self.groups], axis=1)
@@ -299,10 +305,11 @@ class Search:
 
 
 def beside_each(whitened: Whitened, data: Data, models: Sequence[Sequence[int]]) -> Floats:
-    """Return what `Search.beside(…).score(…).families` does for each of several models, shape (families, models).
+    """Return the family evidence beside each of several models, shape (families, models).
 
-    Of one data set at one ratio of the noises; `models` are their known columns. They stand in the place of the
-    ratios, those with fewer columns than others filled up with columns of nothing.
+    The result is that of `Search.beside(…).score(…).families`, for one data set at one noise ratio. `models`
+    are the known columns of each model. The models take the axis of the ratios; shorter ones are padded with
+    zeros.
     """
     many = max(len(known) for known in models)
     known = np.array([[*columns, *[-1] * (many - len(columns))] for columns in models])
@@ -329,16 +336,16 @@ def beside_each(whitened: Whitened, data: Data, models: Sequence[Sequence[int]])
 
 @dataclass(frozen=True)
 class Scores:
-    """ln of the evidence of each variant over that of the model as it is (variants, sets).
+    """Scores of all variants: ln of the evidence of each over that of the present model (variants, sets).
 
-    `ratio` (ratios, sets) is the probability of each noise ratio in the latter.
+    `ratio` (ratios, sets) is the probability of each noise ratio under the present model.
     """
 
     variants: Floats
     ratio: Floats
 
     def families(self, candidates: Candidates) -> Floats:
-        """Return ln of the mean evidence of each family (families, sets): the price of its many forms."""
+        """Return ln of the mean evidence of each family (families, sets). The mean penalises many forms."""
         ordered = self.variants[candidates.by_family]
         starts = candidates.family_starts
         counts = np.diff([*starts, len(ordered)])
@@ -349,7 +356,7 @@ class Scores:
 
 
 def _along(group: Group, left: Data) -> Floats:
-    """Return the squares of data along the eigenvectors of a group, shape (ratios, e, sets)."""
+    """Return the squared projections of the data on a group's eigenvectors, shape (ratios, e, sets)."""
     along = left.along[:, group.columns]
     if group.columns.shape[1] > 1:
         along = np.swapaxes(group.vectors, 2, 3) @ along
@@ -379,26 +386,30 @@ def _of_pairs(blocks: Floats) -> tuple[Floats, Floats]:
 NULLS: Final = 2000
 SEED: Final = 20260
 FALSE_ALARMS: Final = 0.006
-"""How often the search may find something where nothing is."""
+"""Probability of a false alarm: the search finds something where nothing is missing."""
 OF_SLIPS: Final = 1 / 6
-"""The part of it that is a slip's alone: it pays for sizes, axes and passes, and would be silent where it shows."""
+"""Fraction of the false alarms reserved for the test for a slip alone.
+
+The evidence of a slip is penalised for its sizes, axes and passes, and would miss slips that are visible.
+"""
 
 TAIL: Final = 0.05
 """Upper part of the simulated evidences to which an exponential tail is fitted."""
 
 
 CHANNEL_U: Final = 0.1
-"""How well the size of a channel's noise is known, as a part of it: by some fifty readings."""
+"""Relative standard uncertainty of the noise of a channel, as determined from about fifty readings."""
 CHANNEL_STEP: Final = 1.5
-"""Sizes of channels count as the same for a threshold where they are within such a factor: a coarse grid."""
+"""Step, a factor, of the coarse grid of channel noise sizes that share a threshold."""
 
 
 @dataclass(frozen=True)
 class Threshold:
-    """Evidence (ln odds of anything at all) that chance reaches, or a slip's likelihood, with `probability`.
+    """The evidence `value` (ln odds of any missing effect) that chance reaches with `probability`.
 
-    Above `start` the chance of more falls by e for each `decay`; `p_start` is the chance of `start`. `slip`, that
-    of slips alone, is None where none is sought: then all of the probability is that of `value`.
+    Above `start`, which chance exceeds with `p_start`, this probability falls by a factor e for each `decay`.
+    `slip` is the threshold for the likelihood ratio of slips. It is None where no slip is sought; `value`
+    then has all of the probability.
     """
 
     value: float
@@ -410,16 +421,16 @@ class Threshold:
     slip: Threshold | None = None
 
     def at(self, probability: float) -> Threshold:
-        """Return the evidence that chance reaches with another probability."""
+        """Return the threshold that chance reaches with another probability."""
         slip = None if self.slip is None else self.slip.at(OF_SLIPS * probability)
         own = probability if slip is None else (1.0 - OF_SLIPS) * probability
         value = self.start + self.decay * float(np.log(self.p_start / own))
         return replace(self, value=value, probability=probability, slip=slip)
 
     def p(self, evidence: float, of_slip: float = 0.0) -> float:
-        """Probability that chance gives so much of either, all looks counted; 1 below the fitted tails.
+        """Return the p-value of an evidence or a slip, all looks counted; 1 below the fitted tails.
 
-        `of_slip` is ln of the ratio of likelihoods of a slip.
+        `of_slip` is ln of the likelihood ratio of a slip.
         """
         own = 1.0
         if evidence > self.start:
@@ -429,11 +440,11 @@ class Threshold:
         return min(own / (1.0 - OF_SLIPS), self.slip.p(of_slip) / OF_SLIPS, 1.0)
 
     def reached(self, evidence: float, of_slip: float) -> bool:
-        """Whether either is as much as chance seldom gives."""
+        """Return whether the evidence or the likelihood ratio of a slip reaches its threshold."""
         return evidence >= self.value or self.by_slip(of_slip)
 
     def by_slip(self, of_slip: float) -> bool:
-        """Whether the likelihood of a slip is."""
+        """Return whether the likelihood ratio of a slip reaches its own threshold."""
         return self.slip is not None and of_slip >= self.slip.value
 
 
@@ -444,7 +455,7 @@ def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
 
 
 def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
-    """Draw responses (N, sets) of readings in which nothing is missing; `ratios` (sets,) of the noise."""
+    """Return simulated responses (N, sets) in which nothing is missing, with noise `ratios` (sets,)."""
     sets = len(ratios)
     setting = rng.standard_normal((linear.settings, sets)) * ratios / linear.typical_slope
     response = rng.standard_normal((len(linear), sets)) * _row_sizes(linear, sets, rng)
@@ -456,7 +467,7 @@ def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.r
 
 
 def _row_sizes(linear: LinearSystem, sets: int, rng: np.random.Generator) -> Floats:
-    """Return the noise of the rows: where channels or runs differ, as far off the estimates as these are."""
+    """Return the relative noise of the rows, with random errors of the estimates for channels and runs."""
     size = linear.relative[:, None]
     if np.any(linear.by_channel != 1.0):
         size = size * np.exp(CHANNEL_U * rng.standard_normal((4, sets)))[linear.rows.channel]
@@ -468,9 +479,9 @@ def _row_sizes(linear: LinearSystem, sets: int, rng: np.random.Generator) -> Flo
 
 
 def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS) -> Threshold:
-    """Simulate `nulls` data sets on this very design and find what chance gives.
+    """Return the threshold of this design from `nulls` simulated data sets in which nothing is missing.
 
-    The ratio of the two noise sizes is drawn from what the bench file says of it.
+    The ratio of the two noise sizes is drawn from its prior, which follows the bench file.
     """
     rng = np.random.default_rng(SEED)
     grid = whitened.grid
@@ -485,7 +496,10 @@ def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS)
 
 
 def fit_tail(evidence: Floats) -> Threshold:
-    """Fit an exponential to the upper tail of simulated evidences: its quantile scatters less than theirs."""
+    """Return the threshold from an exponential fit to the upper tail of simulated evidences.
+
+    The quantile of the fit scatters less than the empirical quantile.
+    """
     ordered = np.sort(evidence)
     many = max(int(TAIL * len(ordered)), 10)
     start = float(ordered[-many - 1])
@@ -496,17 +510,17 @@ def fit_tail(evidence: Floats) -> Threshold:
 
 @dataclass(frozen=True)
 class ThresholdCache:
-    """Thresholds of designs that were met before, a small JSON file each in `folder` (None: none is kept).
+    """Cache of the thresholds of known designs, a small JSON file for each in `folder` (None: no cache).
 
-    A design is known by all that its threshold depends on: angles (to 1 arcmin), times (10 s), temperatures
-    (0.01 K), directions, mountings, passes, the stand's limits, the scale of the block and the noise (to 10 %),
-    the catalogue and the priors.
+    The key of a design has everything that its threshold depends on: angles (to 1 arcmin), times (10 s),
+    temperatures (0.01 K), directions, mountings, passes, the stand's limits, the scale of the block and the
+    noise (to 10 %), the catalogue and the priors.
     """
 
     folder: Path | None
 
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
-        """Return the threshold of a design, simulated where it is not known yet."""
+        """Return the threshold of a design, simulated where the cache does not have it."""
         if self.folder is None:
             return make_threshold(linear, whitened)
         file = self.folder / f"{_key(linear, whitened, setting_rad)}.json"
@@ -566,12 +580,12 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
 
 
 def channel_steps(linear: LinearSystem) -> list[int]:
-    """Return the sizes of the channels' noise on the coarse grid of thresholds."""
+    """Return the relative noise of the channels as steps of the coarse grid of thresholds."""
     return size_steps(linear.by_channel)
 
 
 def size_steps(sizes: Floats) -> list[int]:
-    """Return sizes of noise on that grid."""
+    """Return sizes of noise as steps of the coarse grid, `CHANNEL_STEP` apart."""
     steps: list[int] = np.round(np.log(sizes) / np.log(CHANNEL_STEP)).astype(int).tolist()
     return steps
 
@@ -580,7 +594,7 @@ DESIGN_COLUMNS: Final = ("scan_order", "reference_v", "range_v")
 
 
 def formulas() -> list[str]:
-    """Return the formulas of the effects that are stated as one: their parameters do not tell all of them."""
+    """Return the formulas of all formula effects, as their parameters alone do not define them."""
     return [
         f"{effect.name}, {effect.stage} {effect.adds_to}: {effect.expression}"
         for effect in CATALOGUE.values()

@@ -1,4 +1,4 @@
-"""A diagnosis of free positions alone, its gap, and a model confirmed by them."""
+"""The diagnosis of free positions alone, its gap on held-out readings, and the confirmation of a model."""
 
 from __future__ import annotations
 
@@ -56,7 +56,10 @@ def free_gap(
     noise: NoiseSize,
     named: Sequence[str],
 ) -> Gap:
-    """Return the gap on readings held out; `sigma` is the scale of the search, `named` what all of them gave."""
+    """Return the gap on held-out readings.
+
+    `sigma` is the noise used in the search, and `named` are the names found in all readings.
+    """
     fold_of = np.arange(len(rows)) % FOLDS
     folds, undetermined = [], []
     for number in range(FOLDS):
@@ -107,23 +110,23 @@ def _predicted(rows: FreeRows, effects: Floats, train: Mask, noise: float) -> He
 
 
 CHANCE: Final = 0.01
-"""What chance gives more often than that goes again, once all that was found stands beside it."""
+"""A find with a larger p-value, beside all other finds, is dropped."""
 NULLS: Final = 2000
 SEED: Final = 20260
 LISTED: Final = 8
 
 
 def all_free(tables: Sequence[Readings]) -> bool:
-    """Whether there are free positions and nothing else in these tables."""
+    """Return whether these tables have free positions and nothing else."""
     return bool(tables) and all(len(table) and np.all(table.installation == FREE) for table in tables)
 
 
 def diagnose_free(
     tables: Sequence[Readings], one_sensor: bool | None = None, model: ForwardModel | None = None
 ) -> FreeDiagnosis:
-    """Diagnose tables of free positions, each of one sensor in one record.
+    """Return the diagnosis of tables of free positions, each table from one sensor in one record.
 
-    Effects of a model given are taken off at their values and estimated anew beside the coefficients. Raises
+    Effects of a given model are subtracted at their values and estimated again with the coefficients. Raises
     `CalibrationError` where the positions of a sensor do not determine its nine coefficients.
     """
     sorted_out = without_outliers(make_rows(tables, one_sensor, model))
@@ -168,7 +171,7 @@ def _threshold(whitened: Whitened, count: int) -> Threshold:
 
 
 def _noise(rows: FreeRows, whitened: Whitened, naming: Naming) -> NoiseSize:
-    """Return the scatter of a position beside all that was found."""
+    """Return the noise of a position with all finds in the model."""
     data: Data = whitened.reduce(rows.response[:, None])
     left = Search.beside(whitened, naming.columns).left_over(data).square[0, 0]
     chosen = list(naming.columns)
@@ -179,7 +182,7 @@ def _noise(rows: FreeRows, whitened: Whitened, naming: Naming) -> NoiseSize:
 
 
 def _fit(rows: FreeRows, effects: Floats, noise: float) -> FreeFit:
-    """Fit the coefficients and columns of effects (N, p) in plausible sizes, known as widely as in the search."""
+    """Fit the coefficients and effects' columns (N, p) in plausible sizes, with the prior `KNOWN_SIZE`."""
     design = np.column_stack([rows.fixed, effects])
     size = np.linalg.norm(design, axis=0)
     size[size == 0.0] = 1.0
@@ -199,7 +202,7 @@ def _fit(rows: FreeRows, effects: Floats, noise: float) -> FreeFit:
 
 @dataclass(frozen=True)
 class _Teller:
-    """Says of each thing found what it is, how large, and how likely by chance."""
+    """Builder of the `FreeFound` of each find: its name, parameters and p-values."""
 
     rows: FreeRows
     whitened: Whitened
@@ -230,7 +233,7 @@ class _Teller:
         )
 
     def _sizes(self, one: FoundEffect) -> tuple[Floats, Floats]:
-        """Return the values of its columns, in plausible sizes, and their u."""
+        """Return the amplitudes of a find's columns, in plausible sizes, and their u."""
         columns = list(self.naming.columns)
         gram = self.whitened.among(0, columns) + np.eye(len(columns)) / KNOWN_SIZE**2
         covariance = np.linalg.inv(gram)
@@ -251,7 +254,7 @@ class _Teller:
 
 
 def _values(applied: AppliedEffect) -> list[EffectValue]:
-    """Return the values of an effect with u, in the catalogue's unit; of a shape there is none."""
+    """Return the values of an effect with u, in the catalogue's unit; a shape has no u."""
     told: list[EffectValue] = []
     mounts = "+".join(applied.installations)
     for of in applied.effect.parameters:
@@ -271,7 +274,7 @@ def _values(applied: AppliedEffect) -> list[EffectValue]:
 
 
 def _where(rows: FreeRows, whitened: Whitened, naming: Naming, sigma: float) -> tuple[Mapping[str, Any], ...]:
-    """Return where |a| disagrees: records and sensors in which it scatters more, the largest first."""
+    """Return the records and sensors in which |a| scatters significantly more, the largest first."""
     found = list(naming.columns)
     places: list[dict[str, Any]] = []
     white = whitened.grid.white[0] @ rows.response
@@ -300,9 +303,10 @@ LEAST_FREEDOM_TO_CONFIRM: Final = 1
 
 
 def confirm_free(tables: Sequence[Readings], model: ForwardModel) -> Confirmation:
-    """Hold free positions against a model with effects; what else is in them is looked for as in a diagnosis.
+    """Compare free positions with a model with effects, and diagnose them for further effects.
 
-    Raises `CalibrationError` where they do not determine the coefficients, or could not show the effects.
+    Raises `CalibrationError` where the positions do not determine the coefficients, or could not show the
+    effects.
     """
     diagnosis = diagnose_free(tables, None, model)
     rows, noise = diagnosis.rows, diagnosis.noise_g
@@ -332,7 +336,7 @@ def _plausible(model: ForwardModel, effect: int, parameter: str) -> float:
 
 
 def _left(rows: FreeRows, response: Floats, noise: float, u: Floats) -> tuple[Model, float]:
-    """Return what the coefficients, and effects with these u about their values, leave; and its chi-square."""
+    """Return the residuals of the coefficients and the effects with prior `u`, and their chi-square."""
     design = np.column_stack([rows.coefficients, rows.of_model * u])
     prior = np.concatenate([np.zeros(rows.coefficients.shape[1]), np.full(len(u), noise**2)])
     covariance = _inverse(design.T @ design + np.diag(prior))
@@ -347,9 +351,10 @@ def _left(rows: FreeRows, response: Floats, noise: float, u: Floats) -> tuple[Mo
 def _estimated(
     rows: FreeRows, noise: float, found: Floats, beside: Sequence[Floats]
 ) -> tuple[Floats, Floats]:
-    """Return by how much the effects differ from the values `found`, in plausible sizes, and the covariance.
+    """Return the change of the effects from the values `found`, in plausible sizes, and its covariance.
 
-    What else was found is estimated with them, unless it would hide them: it stands then for their change.
+    Further finds are estimated as well. One that would hide the model's effects is left out, as it then
+    represents their change.
     """
     mine = slice(rows.coefficients.shape[1], rows.fixed.shape[1])
 

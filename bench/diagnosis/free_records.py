@@ -1,4 +1,4 @@
-"""Free positions as one linear system, how zeros go between records, and what is found out about them."""
+"""Free positions as one linear system, the change of zeros between records, and the diagnosis classes."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from bench.model.forward import ForwardModel
 from bench.readings.table import JoinedPart, Readings, together
 
 SAME_TIME_S: Final = 1.0
-"""Positions of two tables at the same times, within this, are of sensors side by side."""
+"""Two tables whose times agree within this belong to sensors measured side by side."""
 SCALE_BETWEEN: Final = 1e-3
 ZERO_BETWEEN_G: Final = 5e-3
-"""How far scale factors and zeros of a sensor go between records: to tell sensors apart by their distance."""
+"""Typical changes of a sensor's scale factors and zeros between records: the units for sensor distances."""
 ANOTHER: Final = 4.0
-"""Further than so many of these is another sensor, where times do not tell."""
+"""A larger distance, in these units, is another sensor where the times do not identify it."""
 ROUNDS: Final = 6
 AT_REST_G: Final = 0.1
-"""Further off 1 g, whatever the coefficients, are no positions at rest: what sensors do is a tenth of it."""
+"""Largest root mean square of |a| - 1 g, after the fit, of positions at rest. Sensors cause a tenth of it."""
 OWN: Final = len(UPPER)
 ZEROS: Final = (6, 7, 8)
 SCALES: Final = (0, 3, 5)
@@ -39,11 +39,12 @@ SCALES: Final = (0, 3, 5)
 
 @dataclass(frozen=True)
 class FreeRows:
-    """All positions of all sensors. `tables` (sensors) hold the rows of each, `sensor`, `record` number them (N,).
+    """The free positions of all sensors as one linear system for |a| - 1.
 
-    `block` (sensors) are the coefficients that fit each sensor's positions best, all records taken together.
-    `origin` (N, 2) says of which table each is that was given, and its row there. `effects` are those of the model
-    given: taken off at their values, and estimated anew with the coefficients.
+    `tables` (sensors) hold the positions of each sensor; `sensor` and `record` (N,) are the indices of each
+    row. `block` (sensors) are the coefficients that fit each sensor's positions best, all records together.
+    `origin` (N, 2) is the index of the input table and the row in it. `effects` are the effects of the given
+    model: subtracted at their values, and estimated again with the coefficients.
     """
 
     tables: tuple[Readings, ...]
@@ -58,7 +59,7 @@ class FreeRows:
 
     @property
     def sensors(self) -> int:
-        """How many sensors there are."""
+        """The number of sensors."""
         return len(self.tables)
 
     @cached_property
@@ -73,19 +74,19 @@ class FreeRows:
 
     @cached_property
     def response(self) -> Floats:
-        """|a| - 1 (N,), g, by the model given."""
+        """|a| - 1 (N,) in g, less the effects of the given model."""
         by_model = [self.effect(s, one).sum(axis=1) for s in range(self.sensors) for one in self.effects]
         return np.asarray(np.linalg.norm(self._force, axis=1) - 1.0 - sum(by_model, np.zeros(len(self))))
 
     @cached_property
     def unknowns(self) -> tuple[EffectUnknown, ...]:
-        """The parameters of the effects of the model given."""
+        """The parameters of the effects of the given model."""
         model = ForwardModel({}, self.effects)
         return make_problem(model, self.tables[0].conditions(), {}).effects
 
     @cached_property
     def of_model(self) -> Floats:
-        """What a plausible size of each of these does to it, (N, m)."""
+        """Change of the response by a plausible size of each of the `unknowns`, shape (N, m)."""
         columns = np.zeros((len(self), len(self.unknowns)))
         for place, unknown in enumerate(self.unknowns):
             applied = self.effects[unknown.effect]
@@ -100,12 +101,12 @@ class FreeRows:
 
     @cached_property
     def fixed(self) -> Floats:
-        """What is estimated in any case: coefficients (N, 9 of each sensor), effects of the model given."""
+        """Columns that are always estimated: coefficients (N, 9 of each sensor), the model's effects."""
         return np.column_stack([self.coefficients, self.of_model])
 
     @cached_property
     def coefficients(self) -> Floats:
-        """What the coefficients do to it, (N, 9 of each sensor)."""
+        """Derivatives of the response by the coefficients, shape (N, 9 of each sensor)."""
         columns = np.zeros((len(self), OWN * self.sensors))
         for number, (block, table) in enumerate(zip(self.block, self.tables, strict=True)):
             slopes, _ = modulus_slopes(block.specific_force(table.signal), block)
@@ -113,17 +114,17 @@ class FreeRows:
         return columns
 
     def zero(self, sensor: int, channel: int) -> Floats:
-        """Return what 1 g of another zero of a sensor does to its rows, (N,)."""
+        """Return the change of the rows (N,) by a zero of a sensor that is larger by 1 g."""
         scale = abs(float(self.block[sensor].K[channel, channel]))
         return -scale * self.coefficients[:, OWN * sensor + ZEROS[channel]]
 
     def scale(self, sensor: int, channel: int) -> Floats:
-        """Return what a scale factor larger by 1 does to a sensor's rows, (N,)."""
+        """Return the change of the rows (N,) per relative change of a sensor's scale factor."""
         size = abs(float(self.block[sensor].K[channel, channel]))
         return -size * self.coefficients[:, OWN * sensor + SCALES[channel]]
 
     def effect(self, sensor: int, applied: AppliedEffect) -> Floats:
-        """Return what an effect of a sensor does to its rows for each channel, (N, 3)."""
+        """Return the change of a sensor's rows by an effect in each channel, shape (N, 3)."""
         table, block = self.tables[sensor], self.block[sensor]
         force = block.specific_force(table.signal)
         unit = force / np.linalg.norm(force, axis=1, keepdims=True)
@@ -136,7 +137,7 @@ class FreeRows:
         return columns
 
     def without(self, rows: Mask) -> FreeRows:
-        """Return the positions but for some (N,), with the coefficients fitted anew."""
+        """Return the positions without `rows` (N,), with the coefficients fitted again."""
         tables = [t.select(~rows[self.sensor == i]) for i, t in enumerate(self.tables)]
         blocks = tuple(fit_sensor(t.signal) for t in tables)
         kept = (self.sensor[~rows], self.record[~rows])
@@ -146,8 +147,7 @@ class FreeRows:
 def fit_sensor(signal: Floats) -> Block:
     """Return the block that fits free positions (m, 3) best.
 
-    Raises `CalibrationError` where they are too few, or are no readings at rest: whatever explains those, it is not
-    what a sensor does.
+    Raises `CalibrationError` where the positions are too few, or are not readings at rest.
     """
     block = first_guess_free(signal)
     for _ in range(ROUNDS):
@@ -169,12 +169,12 @@ def fit_sensor(signal: Floats) -> Block:
 def make_rows(
     tables: Sequence[Readings], one_sensor: bool | None = None, model: ForwardModel | None = None
 ) -> FreeRows:
-    """Return the positions of tables of free positions, each of one sensor in one record.
+    """Return the rows of tables of free positions, each table from one sensor in one record.
 
-    Tables with the same times are sensors side by side in one record. Which sensor it is, its coefficients tell,
-    where nobody says (`one_sensor`: of all, or of each its own). Raises `CalibrationError` where a sensor's
-    positions do not determine its coefficients, the units differ, or an effect of the model given needs what free
-    positions lack.
+    Tables with the same times are sensors side by side in one record. `one_sensor` states that all tables are
+    of one sensor, or each of its own; if None, the coefficients identify the sensors. Raises
+    `CalibrationError` where a sensor's positions do not determine its coefficients, the units differ, or an
+    effect of the model given needs what free positions lack.
     """
     if len({table.unit for table in tables}) > 1:
         raise CalibrationError("signals in different units cannot be taken together")
@@ -210,7 +210,7 @@ def _one(tables: Sequence[Readings], mine: Sequence[int]) -> Readings:
 
 
 def _records(tables: Sequence[Readings]) -> list[int]:
-    """Return the number of the record of each table."""
+    """Return the index of the record of each table."""
     kinds: list[Floats] = []
     numbers = []
     for table in tables:
@@ -229,7 +229,7 @@ def _records(tables: Sequence[Readings]) -> list[int]:
 
 
 def _sensors(tables: Sequence[Readings], records: Sequence[int], one_sensor: bool | None) -> list[int]:
-    """Return the number of the sensor of each table: by the coefficients, two of a record never the same."""
+    """Return the index of the sensor of each table, by its coefficients; a record has a sensor only once."""
     if len(tables) == 1 or one_sensor is not None:
         return [0 if one_sensor or len(tables) == 1 else i for i in range(len(tables))]
     features = np.stack([_feature(table) for table in tables])
@@ -262,17 +262,18 @@ def _feature(table: Readings) -> Floats:
 
 MUCH: Final = 0.8
 SOME: Final = 0.5
-"""Parts of the variance of the changes that make them common to the sensors, or in part."""
+"""Fractions of shared variance above which changes are common to the sensors, fully or in part."""
 
 
 @dataclass(frozen=True)
 class BetweenRecords:
-    """Zeros (sensors, records, 3) in g with their u, each record fitted by itself; NaN where it cannot be.
+    """Change of the zeros between records: zeros (sensors, records, 3) in g with their u, fitted by record.
 
-    `ratio` is the scatter of the zeros about their mean over the stated u; `scatter` (3,) in g; `common` (3,) is
-    what part of the variance the sensors share, NaN for one sensor. `held_before`, `held_after` are that ratio for
-    each record held out, by what the other records say: without, and with their scatter and what the other sensors
-    show in the same record.
+    Zeros are NaN where a record does not determine them. `ratio` is the scatter of the zeros about their mean
+    over the stated u, and `scatter` (3,) this scatter in g. `common` (3,) is the fraction of the variance
+    that the sensors share, NaN for one sensor. `held_before` and `held_after` are the ratio for records held
+    out and predicted from the others. Before, the zeros are constant; after, they scatter as in the other
+    records and follow the other sensors in the same record.
     """
 
     zero: Floats
@@ -284,7 +285,7 @@ class BetweenRecords:
     held_after: float
 
     def in_words(self) -> str:
-        """Return how far they go, what is common, what is held out."""
+        """Return a text on the size of the changes, their common part and the held-out records."""
         sizes = ", ".join(f"{c} {size * 1e3:.2g} mg" for c, size in zip(CHANNELS, self.scatter, strict=True))
         text = f"scatter {sizes}, {self.ratio:.3g} times the stated u"
         shares = [c for c, part in zip(CHANNELS, self.common, strict=True) if part >= MUCH]
@@ -303,7 +304,7 @@ class BetweenRecords:
 
 
 def between_records(rows: FreeRows, tables: Sequence[Readings]) -> BetweenRecords | None:
-    """Return how zeros go between records; None where fewer than two records of any sensor determine them."""
+    """Return the change of zeros between records; None where no sensor has them from two records."""
     records = np.unique(rows.record)
     zero = np.full((rows.sensors, len(records), 3), np.nan)
     u = np.full_like(zero, np.nan)
@@ -329,7 +330,7 @@ def between_records(rows: FreeRows, tables: Sequence[Readings]) -> BetweenRecord
 
 
 def _zeros(signal: Floats) -> tuple[Floats, Floats] | None:
-    """Return the zeros (3,) of a sensor in one record, g, with u; None where its positions do not tell them."""
+    """Return the zeros (3,) of a sensor in one record, g, with u; None where they are not determined."""
     try:
         block = fit_sensor(signal)
     except CalibrationError:
@@ -346,7 +347,7 @@ def _zeros(signal: Floats) -> tuple[Floats, Floats] | None:
 
 
 def _common(change: Floats, full: Floats) -> Floats:
-    """Return what part of the variance of the changes (sensors, records, 3) all sensors have in common, (3,)."""
+    """Return the fraction (3,) of the variance of the changes (sensors, records, 3) that sensors share."""
     whole = full.all(axis=0)
     sensors = len(change)
     if sensors < 2 or whole.sum() < 2:
@@ -360,10 +361,11 @@ def _common(change: Floats, full: Floats) -> Floats:
 
 
 def _held_out(zero: Floats, u: Floats, full: Floats) -> tuple[float, float]:
-    """Return how far a record's zeros lie off what the others say, over the u of that, before and after.
+    """Return the root mean square error, over its u, of predicting a record's zeros, before and after.
 
-    Before, the zeros of a sensor stay, and the others' mean is known to its u. After, they scatter as they do in
-    the other records, and where other sensors were measured in the same record, by what those have in common.
+    Before, the zeros of a sensor are constant, and the mean of the other records has its u. After, they
+    scatter as in the other records, and follow the common change of other sensors measured in the same
+    record.
     """
     before, after = [], []
     for record in range(zero.shape[1]):
@@ -387,7 +389,7 @@ def _held_out(zero: Floats, u: Floats, full: Floats) -> tuple[float, float]:
 def _with_scatter(
     zero: Floats, full: Floats, sensor: int, record: int, known: Floats, off: Floats
 ) -> tuple[Floats, Floats]:
-    """Return what is left of `off` beside the other sensors' change in this record, and the variance of it."""
+    """Return `off` corrected for the other sensors' change in this record, and its variance."""
     past = zero[sensor, known]
     own = past - past.mean(axis=0)
     fellows = [s for s in range(len(zero)) if s != sensor and full[s, record] and np.all(full[s, known])]
@@ -412,9 +414,9 @@ OUTLIER: Final = "outlier"
 
 @dataclass(frozen=True)
 class FreeFound:
-    """What was found: an effect of the catalogue, or what has no name; fields as those of `NamedEffect`.
+    """A find: an effect of the catalogue, or an unnamed family. The fields are those of `NamedEffect`.
 
-    `applied` has an entry for all sensors alike, or one for each with values of its own.
+    `applied` has one entry for all sensors, or one for each sensor with its own values.
     """
 
     name: str
@@ -429,13 +431,13 @@ class FreeFound:
 
     @property
     def in_catalogue(self) -> bool:
-        """Whether it has a name."""
+        """Whether the find is an effect of the catalogue."""
         return self.name in CATALOGUE
 
 
 @dataclass(frozen=True)
 class FreeFit:
-    """What a model gives: `block` of each sensor, `u` (sensors, 12) of it, what is `left` of |a| - 1 (N,), g."""
+    """Fit of a model: `block` of each sensor, its `u` (sensors, 12), residuals `left` (N,) of |a| - 1, g."""
 
     block: tuple[Block, ...]
     u: Floats
@@ -446,10 +448,10 @@ class FreeFit:
 class FreeDiagnosis:
     """The diagnosis of free positions.
 
-    `noise_g` is the scatter of a position beside what was found, `stated_g` what its samples imply, NaN where not
-    given. `columns` holds for each thing found what its parts do to |a|, (N, p). `apart` says of each position that
-    was left out why, `left_out` (k, 2) of which table it is, and its row there. `before` and
-    `after` are fits by the model given and with what was found.
+    `noise_g` is the noise of a position with all finds in the model. `stated_g` is the noise that the scatter
+    of the samples implies, NaN where it is not given. `columns` holds the columns of each find in |a|, (N,
+    p). `apart` is the reason for each position left out, `left_out` (k, 2) its table and row. `before` is the
+    fit of the given model, and `after` the fit with all finds.
     """
 
     source: str
@@ -476,7 +478,7 @@ class FreeDiagnosis:
 
     @property
     def of_rest(self) -> Verdict:
-        """The verdict on what is not left out."""
+        """The verdict on the positions that are not left out."""
         if not all(one.in_catalogue for one in self.found):
             return "unknown"
         if not self.found:
@@ -486,20 +488,20 @@ class FreeDiagnosis:
 
     @property
     def records(self) -> int:
-        """How many records there are."""
+        """The number of records."""
         return len(np.unique(self.rows.record))
 
     def applied_to(self, sensor: int) -> tuple[AppliedEffect, ...]:
-        """Return what was found of a sensor, counted from 0: of all alike, or its own."""
+        """Return the effects found for a sensor, counted from 0: those of all sensors and its own."""
         mine = ((), (f"sensor {sensor + 1}",))
         return tuple(a for one in self.found for a in one.applied if a.installations in mine)
 
     @property
     def alike(self) -> bool:
-        """Whether all that was found is the same in all sensors."""
+        """Whether all effects found are the same in all sensors."""
         return not any(a.installations for one in self.found for a in one.applied)
 
 
 def place_of(sensor: int) -> slice:
-    """Return where the nine coefficients of a sensor stand among those of all."""
+    """Return the slice of the nine coefficients of a sensor among those of all sensors."""
     return slice(OWN * sensor, OWN * (sensor + 1))

@@ -58,7 +58,7 @@ class _Gathered:
 
 
 def make_free_candidates(rows: FreeRows, sigma: float) -> Candidates:
-    """Collect all that might be missing in free positions; `sigma` is the noise of a position, g."""
+    """Return the candidates for free positions; `sigma` is the noise of a position, g."""
     gathered = _Gathered(rows, sigma)
     for effect in CATALOGUE.values():
         if _may_be_seen(effect):
@@ -111,7 +111,7 @@ def _add_effect(gathered: _Gathered, effect: Effect) -> None:
 def _of_sensors(
     rows: FreeRows, effect: Effect, parameter: Parameter, shape: tuple[tuple[str, float], ...], coarse: float
 ) -> Floats:
-    """Return what a plausible size of a parameter does to the rows of each sensor, (sensors, N, 3)."""
+    """Return the change of each sensor's rows by a parameter of plausible size, (sensors, N, 3)."""
     values: dict[str, Floats] = {name: np.asarray(value) for name, value in shape}
     values[parameter.name] = np.full(3, parameter.plausible * coarse)
     columns = [rows.effect(sensor, AppliedEffect(effect, values)) for sensor in range(rows.sensors)]
@@ -182,16 +182,16 @@ def _add_slow(gathered: _Gathered) -> None:
 
 
 OUTLIER: Final = 1e-4
-"""Chance, all positions counted, below which one stands apart."""
+"""A position is an outlier where its p-value, all positions counted, is below this,"""
 FAR: Final = 12.0
-"""And so many standard deviations at the least: tails of real sensors are heavier than the normal's."""
+"""and it is at least this many standard deviations off, as real sensors have heavier tails than normal."""
 DOUBT: Final = 0.05
-"""Chance, all positions counted, below which one is told that stays in."""
+"""A position that stays in is reported where its p-value, all positions counted, is below this."""
 LEAST_FREEDOM: Final = 3
 AT_ONCE: Final = 32
 """Positions weighed at once; each has noise of its own."""
 MOST_APART: Final = 0.1
-"""No more than this part of the positions is left out."""
+"""At most this fraction of the positions is left out."""
 
 
 def grid_of(rows: FreeRows, sigma: float, kept: Mask | None = None) -> NoiseGrid:

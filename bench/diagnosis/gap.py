@@ -20,7 +20,7 @@ from bench.diagnosis.noise_grid import RATIOS, coupled, make_noise_grid
 from bench.diagnosis.posterior import NoiseSize, posterior, predicted_error, whiten_rows
 
 FLOOR: Final = 1.0
-"""Reduced chi-square of readings held out when nothing is missing."""
+"""Expected reduced chi-square of held-out readings when nothing is missing."""
 
 LEAST_FALL: Final = 4.0
 """By so much must the chi-square of readings held out fall, in all and by each effect.
@@ -80,7 +80,7 @@ class Fold:
 
     @property
     def counted(self) -> bool:
-        """Whether it counts: it can confirm what was found, or what the others named makes it worse."""
+        """Whether the fold counts: it can confirm the finds, or the effects named without it worsen it."""
         worse = self.after.chi2 - self.before.chi2 >= LEAST_FALL
         return self.confirmable or (worse and self.blind == BLIND)
 
@@ -107,17 +107,17 @@ class Gap:
 
     @property
     def left_out(self) -> tuple[Fold, ...]:
-        """The folds that do not."""
+        """The folds that do not count."""
         return tuple(f for f in self.folds if not f.counted)
 
     @property
     def count(self) -> int:
-        """Rows in those that count."""
+        """The number of rows in the folds that count."""
         return sum(len(f.before.error) for f in self.opened)
 
     @property
     def before(self) -> float:
-        """Reduced chi-square of the model that was given."""
+        """Reduced chi-square of the given model on held-out readings."""
         return sum(f.before.chi2 for f in self.opened) / max(self.count, 1)
 
     @property
@@ -127,7 +127,7 @@ class Gap:
 
     @property
     def closed(self) -> float | None:
-        """The part of what is above the floor that naming closes; None where nothing is above it."""
+        """The fraction of the gap above the floor that naming closes; None where there is no gap."""
         return part_closed(self.before, self.after) if self.opened else None
 
     @property
@@ -160,7 +160,7 @@ class Gap:
 
     @property
     def expected_rms_g(self) -> float:
-        """What `after_rms_g` is expected to be when nothing is missing."""
+        """The expectation of `after_rms_g` when nothing is missing."""
         return rms([f.after.expected_g for f in self.opened])
 
     @property
@@ -192,7 +192,7 @@ class Gap:
 
     @property
     def reason(self) -> str:
-        """Why readings held out do not confirm what was found; nothing where they do, or nothing was found."""
+        """Why held-out readings do not confirm the finds; empty where they do, or without finds."""
         if not self.named or self.shrinks:
             return ""
         if not self.folds:
@@ -289,7 +289,7 @@ def measure_gap(
 
 
 def determined(linear: LinearSystem, rows: Mask) -> bool:
-    """Whether some of the rows determine the coefficients."""
+    """Return whether the chosen rows determine the coefficients."""
     fixed = linear.fixed[rows] / np.linalg.norm(linear.fixed, axis=0)
     if len(fixed) <= fixed.shape[1]:
         return False
@@ -342,10 +342,10 @@ def _held_out(
 
 @dataclass(frozen=True)
 class _Shown:
-    """What was found, at its size, and how far all readings show it: from the design, not from their values.
+    """The finds at their sizes, and their squared signal-to-noise in all readings, from the design.
 
-    `amplitudes` are of the columns of `naming`, `each` is the square of how far each find stands out beside the
-    others, `whole` of all together, units of noise.
+    `amplitudes` belong to the columns of `naming`. `each` is the square for each find beside the others,
+    `whole` the square for all finds together, in units of the noise squared.
     """
 
     candidates: Candidates

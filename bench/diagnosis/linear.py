@@ -1,4 +1,4 @@
-"""Readings and prediction, made linear: what the naming of a missing effect works on."""
+"""The difference of readings and prediction as a linear system, in which missing effects are searched."""
 
 from __future__ import annotations
 
@@ -21,21 +21,22 @@ from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_for
 from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
 
 CONTRADICTS_RAD: Final = float(np.radians(0.5))
-"""A turn from what the bench file states that no signature notices; a larger one is told and taken up."""
+"""Rotation from the stated orientation that changes no signature. A larger one is reported and used."""
 OF_LIMITS: Final = 5.0
-"""So many standard uncertainties of the stand's angles are no contradiction either."""
+"""A rotation below this many standard uncertainties of the stand's angles is no contradiction either."""
 ONE_MOUNTING: Final = 0.01
-"""Root mean square by which directions may miss those of one mounting, rad."""
+"""Largest root mean square residual, in rad, of directions that belong to one mounting."""
 LEAST_APART: Final = 0.05
-"""Second singular value of the directions, per point, from which they tell an orientation."""
+"""Least second singular value of the directions, per point, that determines an orientation."""
 
 
 @dataclass(frozen=True)
 class Orientation:
-    """The verification points' `block_from_platform` (3, 3) as the signals give it, and how it differs.
+    """The orientation `block_from_platform` (3, 3) of the verification points, as the signals give it.
 
-    `off_rad` is the turn from what the bench file states, about `axis` of the block (3,); `missed_rad` the root
-    mean square of what is left of the directions.
+    `off_rad` is the rotation from the orientation in the bench file, about `axis` (3,) of the block.
+    `missed_rad` is the root mean square residual of the directions. `contradicts` says whether the rotation
+    is significant.
     """
 
     block_from_platform: Floats
@@ -45,7 +46,7 @@ class Orientation:
     contradicts: bool
 
     def in_words(self) -> str:
-        """Say what contradicts the bench file, and what to do."""
+        """Return a sentence on the contradiction to the bench file and its remedy."""
         axis = ", ".join(f"{part:+.2f}" for part in self.axis)
         return (
             f"the verification points contradict the bench file: by their signals the block is turned by "
@@ -58,10 +59,10 @@ class Orientation:
 def orientation_of(
     model: ForwardModel, readings: Readings, force: Floats, stand_u: Mapping[str, float]
 ) -> Orientation | None:
-    """Return how the block stood at the verification points of a table; None where they do not tell it.
+    """Return the orientation of the block at the verification points; None where they do not determine it.
 
-    `force` (n, 3) is the specific force that the signals of the table give. Source of the fit: Wahba's problem,
-    solved by singular values (Markley, 1988).
+    `force` (n, 3) is the specific force that the signals of the table give. Source of the fit: Wahba's
+    problem, solved by singular values (Markley, 1988).
     """
     rows = np.flatnonzero((readings.installation == VERIFICATION) & np.isfinite(readings.angle_rad))
     if VERIFICATION not in model.installations or len(rows) < 2:
@@ -83,7 +84,7 @@ def orientation_of(
 
 
 def as_measured(model: ForwardModel, orientation: Orientation | None) -> ForwardModel:
-    """Return the model with the verification points where their signals have them, if the bench file is wrong."""
+    """Return the model with the measured orientation of installation V where the bench file is wrong."""
     if orientation is None or not orientation.contradicts:
         return model
     measured = Installation(VERIFICATION, orientation.block_from_platform)
@@ -102,10 +103,10 @@ def _turn(matrix: Floats) -> tuple[float, Floats]:
 
 
 MODULUS: Final = 3
-"""Channel number of a row that holds a modulus and no single channel."""
+"""Channel number of a row that holds the modulus |a| instead of a single channel."""
 
 REFERENCE_U: Final = 1e-4
-"""Relative standard uncertainty of a reference voltage's value: its drift matters, its value little."""
+"""Relative standard uncertainty of a reference voltage. Its drift matters more than its value."""
 
 
 @dataclass(frozen=True)
@@ -121,9 +122,9 @@ class Rows:
 
 @dataclass(frozen=True)
 class RunSizes:
-    """How large the noise of each run is beside the others' (runs,), and the degrees of freedom (runs,) of each.
+    """Relative noise `sizes` of the runs (runs,), with the degrees of freedom of each (runs,).
 
-    The mean of the squares over the rows is 1.
+    The mean square of the sizes over the rows is 1.
     """
 
     sizes: Floats
@@ -137,10 +138,10 @@ class LinearSystem:
     `response` (N,) measured less predicted; `fixed` (N, 12) by the coefficients; `random` (N, q) by stand
     angles and the model's own effects, each times its prior standard deviation; `slope` (N,) holds du/dphi
     in the rows of a setting and zero elsewhere; `setting` (N,) numbers the settings, -1 elsewhere.
-    `problem` has the unknowns of the settings: stand angles and the model's own effects. `orientation` is how
-    the block stood at the verification points, None where they do not tell it; where it contradicts the bench file
-    the installation V of `model` is as measured. `by_channel` (3,) is how large the noise of a channel is beside
-    the others', 1 on the average of squares; `by_run` the same of each of several runs, None where they are alike.
+    `problem` has the unknowns of the settings: stand angles and the model's own effects. `orientation` is the
+    orientation at the verification points, None where they do not determine it. Where it contradicts the
+    bench file, `model` has installation V as measured. `by_channel` (3,) is the relative noise of the
+    channels, with mean square 1. `by_run` is the relative noise of several runs, None where they are alike.
     The last `of_noise` columns of `random` are noise that readings share.
     """
 
@@ -165,14 +166,14 @@ class LinearSystem:
         return len(self.response)
 
     def with_noise(self, *columns: Floats) -> LinearSystem:
-        """Return the system with noise that readings share, columns (N, …) of unit variance, as random."""
+        """Return the system with more `random` columns (N, …): shared noise of unit variance."""
         random = np.column_stack([self.random, *columns])
         added = random.shape[1] - self.random.shape[1]
         return replace(self, random=random, of_noise=self.of_noise + added)
 
     @property
     def own(self) -> slice:
-        """Places in `random` of the model's own effects, which are `problem.effects`."""
+        """Slice of the columns of `random` that belong to the model's own effects, `problem.effects`."""
         return slice(len(self.problem.stand), len(self.problem.stand) + len(self.problem.effects))
 
     @property
@@ -187,19 +188,19 @@ class LinearSystem:
 
     @cached_property
     def relative(self) -> Floats:
-        """How large the noise of a row is, 1 for a channel and a run of average noise, shape (N,)."""
+        """Relative noise of each row, 1 for a channel and a run of average noise, shape (N,)."""
         return self.relative_of_channel * self.relative_of_run
 
     @cached_property
     def relative_of_run(self) -> Floats:
-        """The same for the run alone, 1 where runs are alike, shape (N,)."""
+        """Relative noise of each row due to its run alone, 1 where the runs are alike, shape (N,)."""
         if self.by_run is None:
             return np.ones(len(self))
         return np.asarray(self.by_run.sizes[self.readings.run[self.rows.reading]])
 
     @property
     def relative_of_channel(self) -> Floats:
-        """The same for the channel alone, shape (N,)."""
+        """Relative noise of each row due to its channel alone, shape (N,)."""
         if np.all(self.by_channel == 1.0):
             return np.ones(len(self))
         size = self.by_channel[np.minimum(self.rows.channel, 2)].copy()
@@ -226,7 +227,7 @@ class LinearSystem:
         return self.view.conditions
 
     def rows_of(self, change: Floats) -> Floats:
-        """Contract changes (n, 3) of the signals to the rows, shape (N,)."""
+        """Convert changes of the signals (n, 3) to changes of the rows (N,)."""
         return self.view.rows_of(change)
 
     @cached_property
@@ -238,9 +239,10 @@ class LinearSystem:
         return self.view.read(replace(self.model, effects=(applied,)), self.block) - self._still
 
     def formula_columns(self, applied: AppliedEffect) -> Floats:
-        """Return what an effect that needs no path adds to the rows, one stage of the model made linear.
+        """Return the change of the rows by an effect that needs no path, one stage of the model made linear.
 
-        Of an effect of the stand or the head shape (N, 1), else (N, 3), of each channel apart.
+        The shape is (N, 1) for an effect of the stand or the head, else (N, 3) with a column for each
+        channel.
         """
         effect = applied.effect
         match effect.stage:
@@ -259,10 +261,10 @@ class LinearSystem:
                 return self._of_channels(change, of_block=of_block)
 
     def course_columns(self, course: Floats, stage: Stage, adds_to: str = "", *, of_force: bool) -> Floats:
-        """Return what a course over the readings (n,) adds at a stage, as `formula_columns` does.
+        """Return the change of the rows by a course over the readings (n,), shaped as by `formula_columns`.
 
-        At the stand it is of the angle `adds_to`, at the block's output in g, or with `of_force` a part of the
-        specific force.
+        At the stand the course is added to the angle `adds_to`. At the block's output it is in g, or with
+        `of_force` a fraction of the specific force.
         """
         force, by_angle = self._stand
         match stage:
@@ -277,14 +279,14 @@ class LinearSystem:
                 return self._of_channels(change, of_block=of_block)
 
     def _of_channels(self, change: Floats, *, of_block: bool) -> Floats:
-        """Contract changes (n, 3) to the rows, each channel apart, (N, 3); the block's not at other inputs."""
+        """Convert changes (n, 3) to rows by channel (N, 3); `of_block` sets them to 0 at other inputs."""
         if of_block:
             change = np.where(np.isnan(self.view.voltage_v), change, 0.0)
         return self.view.rows_of(change[:, :, None] * np.eye(3))
 
     @cached_property
     def _stand(self) -> tuple[Floats, Floats]:
-        """Specific force (n, 3) without any effect; derivatives (n, 3, 6) of the readings, stand angles, head."""
+        """Specific force (n, 3) without effects; derivatives (n, 3, 6) of the readings by stand and head."""
         model, conditions = replace(self.model, effects=()), self.conditions
         still = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
         known = [mount.installation in model.installations for mount in conditions.mounts]
@@ -301,22 +303,22 @@ class LinearSystem:
         return force, np.stack(differences, axis=2) / (2 * STEP_RAD)
 
     def effect_column(self, applied: AppliedEffect) -> Floats:
-        """Return what an effect with these values adds to the rows, shape (N,): its difference from none."""
+        """Return the change of the rows by an effect with these values, shape (N,)."""
         return self.view.rows_of(self._change(applied))
 
     def effect_columns(self, applied: AppliedEffect) -> Floats:
-        """Return the same for each channel of an effect of the block apart, shape (N, 3)."""
+        """Return the change of the rows by an effect of the block, a column for each channel, (N, 3)."""
         change = self._change(applied)
         return np.stack([self.view.rows_of(change * (np.arange(3) == i)) for i in range(3)], axis=1)
 
 
 @dataclass(frozen=True)
 class _View:
-    """How changes of the three signals of a reading show in the rows of the system.
+    """Conversion of changes of the three signals of a reading to the rows of the system.
 
-    `conditions` are those of all readings in the order of measurement, since effects look back. Where `force`
-    or `voltage_v` (n, 3) is not NaN it stands in place of what the installation gives. `settings`, `moduli`
-    and `inputs` number the readings of each kind; `by_signal` (m, 3) is d|a|/du over its norm.
+    `conditions` covers all readings in the order of measurement, as effects may depend on earlier readings.
+    Where `force` or `voltage_v` (n, 3) is not NaN, it replaces the input from the installation. `settings`,
+    `moduli` and `inputs` index the readings of each kind. `by_signal` (m, 3) is d|a|/du over its norm.
     """
 
     conditions: Conditions
@@ -328,7 +330,7 @@ class _View:
     by_signal: Floats
 
     def own(self, model: ForwardModel, effects: tuple[AppliedEffect, ...], block: Block) -> Floats:
-        """Return by how much effects together change the signals of each reading, shape (n, 3)."""
+        """Return the change of the signals of each reading by all `effects` together, shape (n, 3)."""
         if not effects:
             return np.zeros(self.force.shape)
         return self.read(replace(model, effects=effects), block) - self.read(
@@ -336,14 +338,14 @@ class _View:
         )
 
     def read(self, model: ForwardModel, block: Block) -> Floats:
-        """Return what a model reads in all rows on a stand without errors, shape (n, 3)."""
+        """Return the signals (n, 3) that a model predicts for all readings on a stand without errors."""
         still = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
         return model.readings_in_order(
             block, self.conditions, still, force=self.force, voltage_v=self.voltage_v
         )
 
     def rows_of(self, change: Floats) -> Floats:
-        """Contract changes (n, 3, …) of the signals to rows of the system, shape (N, …)."""
+        """Convert changes of the signals (n, 3, …) to rows of the system (N, …)."""
         modulus = np.einsum("mi,mi...->m...", self.by_signal, change[self.moduli])
         each = change.shape[2:]
         settings, inputs = (change[own].reshape(-1, *each) for own in (self.settings, self.inputs))
@@ -351,9 +353,9 @@ class _View:
 
 
 def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:
-    """Make the readings' difference from the model linear in everything that is not known.
+    """Return the difference of readings and model as a system that is linear in all unknowns.
 
-    Rows are taken in the order: settings in installations, moduli (verification and free positions), inputs.
+    The rows are, in this order: settings in installations, moduli (verification and free positions), inputs.
     Raises `CalibrationError` where the settings do not determine the coefficients.
     """
     label = readings.installation
@@ -411,7 +413,7 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
 
 
 def _modulus(block: Block, signal: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return a (m, 3), the unit vector along d|a|/du (m, 3), and what turns |a| into a signal's unit (m,)."""
+    """Return a (m, 3), the unit vector along d|a|/du (m, 3), and the signal per unit of |a| (m,)."""
     if not len(signal):
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
     force = block.specific_force(signal)
@@ -425,7 +427,7 @@ def _unit(vectors: Floats) -> Floats:
 
 
 def _unstated(readings: Readings) -> Ints:
-    """Return which readings are of a reference whose value nobody stated: it is as free as it is large."""
+    """Return the readings of a reference of unstated value. The prior u of that value is the value itself."""
     stated = readings.extra.get("reference_v", np.full(len(readings), ""))
     blank = np.array([not str(text).strip() for text in stated], dtype=bool)
     return np.flatnonzero((readings.installation == REFERENCE) & blank)
@@ -442,7 +444,7 @@ def _input_v(inputs: Readings) -> Floats:
 
 
 def _own_column(problem: Problem, block: Block, view: _View, number: int) -> Floats:
-    """Return what one prior standard deviation of an effect's parameter in the model adds, shape (n, 3)."""
+    """Return the change (n, 3) of the signals by one prior standard deviation of a model parameter."""
     step = np.zeros_like(problem.prior_u)
     step[number] = 1e-3 * problem.prior_u[number]
     up, down = (problem.effects_at(problem.prior_mean + sign * step) for sign in (1, -1))
@@ -452,9 +454,9 @@ def _own_column(problem: Problem, block: Block, view: _View, number: int) -> Flo
 def _columns(
     problem: Problem, block: Block, unit: Floats, view: _View, label: NDArray[np.str_], unstated: Ints
 ) -> tuple[Floats, Floats]:
-    """Return the columns of the coefficients and, times their priors, of stand angles and own effects.
+    """Return the columns of the coefficients, and of stand angles and own effects times their prior u.
 
-    A modulus does not depend on angles of the stand. Readings `unstated` are of references of unknown value.
+    A modulus does not depend on the angles of the stand. `unstated` indexes readings of unknown references.
     """
     jacobian = problem.jacobian(block, problem.prior_mean)
     jacobian[:, :, FIXED:] *= problem.prior_u

@@ -1,4 +1,4 @@
-"""Several runs as one linear system with its candidates, and what one of them has alone."""
+"""Several runs as one linear system with its candidates, and the search for effects in single runs."""
 
 from __future__ import annotations
 
@@ -55,22 +55,22 @@ from bench.readings.table import VERIFICATION, Readings, stacked
 OTHER_SCALE: Final = 1e-3
 OTHER_CROSS: Final = 3e-3
 OTHER_ZERO_G: Final = 10e-3
-"""Further than this, of the scale factor, a block hardly changes between runs: it is taken for another one."""
+"""Largest changes of one block between runs, as fractions of the scale factor; beyond is another block."""
 
 
 @dataclass(frozen=True)
 class JointSystem(LinearSystem):
-    """The systems of several blocks as one; `block` is the first, `parts` are those of each."""
+    """The systems of several blocks as one. `block` is the first block, `parts` are the systems of each."""
 
     parts: tuple[LinearSystem, ...]
 
     @property
     def g_per_signal(self) -> Floats:
-        """What turns a row into g (N,), each by its own block."""
+        """Factors (N,) that convert each row to g, by the scale factors of its own block."""
         return self._of_each_block(lambda part: part.g_per_signal)
 
     def _of_each_block(self, of: Callable[[LinearSystem], Floats]) -> Floats:
-        """Return what is of a row by its own block, shape (N,)."""
+        """Return the property `of` for each row, from the system of its own block, shape (N,)."""
         assert self.readings.block is not None  # noqa: S101 - it is a system of several
         block = self.readings.block[self.rows.reading]
         size = np.empty(len(self))
@@ -82,7 +82,7 @@ class JointSystem(LinearSystem):
 
     @property
     def relative_of_channel(self) -> Floats:
-        """How large the noise of a row is for its channel (N,), of a modulus as its own block shows it."""
+        """Relative noise (N,) of each row due to its channel; for a modulus by its own block."""
         return self._of_each_block(lambda part: replace(part, by_channel=self.by_channel).relative_of_channel)
 
     @cached_property
@@ -91,19 +91,19 @@ class JointSystem(LinearSystem):
         return self.readings.conditions()
 
     def effect_column(self, applied: AppliedEffect) -> Floats:
-        """Return what an effect with these values adds to the rows, shape (N,)."""
+        """Return the change of the rows by an effect with these values, shape (N,)."""
         return np.concatenate([part.effect_column(applied) for part in self.parts])
 
     def effect_columns(self, applied: AppliedEffect) -> Floats:
-        """Return the same for each channel of an effect of the block apart, shape (N, 3)."""
+        """Return the change of the rows by an effect of the block, a column for each channel, (N, 3)."""
         return np.concatenate([part.effect_columns(applied) for part in self.parts])
 
     def formula_columns(self, applied: AppliedEffect) -> Floats:
-        """Return what an effect that needs no path adds to the rows, the same in all blocks, as of one."""
+        """Return the change of the rows by an effect that needs no path and is the same in all blocks."""
         return np.concatenate([part.formula_columns(applied) for part in self.parts])
 
     def course_columns(self, course: Floats, stage: Stage, adds_to: str = "", *, of_force: bool) -> Floats:
-        """Return what a course over the readings (n,) adds at a stage, the same in all blocks, as of one."""
+        """Return the change of the rows by a course over the readings (n,) that is the same in all blocks."""
         assert self.readings.block is not None  # noqa: S101 - it is a system of several
         own = [course[self.readings.block == number] for number in np.unique(self.readings.block)]
         return np.concatenate(
@@ -115,7 +115,7 @@ class JointSystem(LinearSystem):
 
 
 def make_system(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:
-    """Make readings of one block or of several linear. Raises `CalibrationError` as `make_linear` does."""
+    """Return the linear system of one or several blocks. Raises `CalibrationError` as `make_linear` does."""
     if readings.block is None:
         return make_linear(readings, model, stand_u)
     tables = [np.flatnonzero(readings.block == number) for number in np.unique(readings.block)]
@@ -157,7 +157,7 @@ def _rows_of(readings: Readings, rows: Ints) -> Readings:
 
 
 def _random_of(part: LinearSystem, stand_u: Mapping[str, float]) -> tuple[Floats, Floats]:
-    """Return the columns that a block shares with others, of what the bench has, and those of its own."""
+    """Return the random columns of effects of the bench, which blocks share, and the block's own columns."""
     problem = make_problem(part.model, part.moved, stand_u)
     of_bench = np.zeros(part.random.shape[1], dtype=bool)
     for place, unknown in enumerate(problem.effects):
@@ -170,10 +170,10 @@ def _random_of(part: LinearSystem, stand_u: Mapping[str, float]) -> tuple[Floats
 
 
 def with_blocks(readings: Readings, model: ForwardModel) -> Readings:
-    """Return readings of several runs with the number of the block of each row; None where all are of one.
+    """Return readings of several runs with the block number of each row; None where all are of one block.
 
-    Where nobody says it, the coefficients that each run gives tell. A run that does not determine them is
-    taken for one of the first block.
+    Where the block numbers are not stated, the coefficients of each run identify the block. A run that does
+    not determine its coefficients is assigned to the first block.
     """
     if readings.block is not None:
         return readings if len(np.unique(readings.block)) > 1 else replace(readings, block=None)
@@ -224,7 +224,7 @@ def _told(readings: Readings, block: Ints) -> Iterator[str]:
 def find_mistakes_in_each(
     readings: Readings, model: ForwardModel, stand_u: Mapping[str, float], nominal: Floats | None
 ) -> MistakeSearch:
-    """Look for mistakes in the runs of each block. `nominal` (3,) or (blocks, 3), else as `find_mistakes`."""
+    """Return the mistakes in the runs of each block, as `find_mistakes`; `nominal` is (3,) or (blocks, 3)."""
     if readings.block is None:
         return find_mistakes(readings, model, stand_u, None if nominal is None else np.atleast_2d(nominal)[0])
     numbers = np.unique(readings.block)
@@ -246,11 +246,11 @@ def _skipped(found: list[MistakeSearch], readings: Readings) -> tuple[str, ...]:
 
 
 OWN_IN_EACH_RUN: Final = ("warm_up", "bias_drift", "scale_drift", "voltmeter_drift")
-"""What begins anew with every run need not be as large in each."""
+"""Effects that start again with every run and may have a different size in each."""
 
 
 def candidates_of(linear: LinearSystem, unit_noise: float, absent: Collection[str] = ()) -> Candidates:
-    """Collect all that might be missing in these readings, of one run or of several; arguments as for one."""
+    """Return the candidates for readings of one or several runs; arguments as for `make_candidates`."""
     if not linear.readings.run.any():
         return make_candidates(linear, unit_noise, absent=absent)
     return make_candidates(linear, unit_noise, _mount_sets, _add_unnamed, absent=absent)
@@ -260,10 +260,11 @@ def candidates_of(linear: LinearSystem, unit_noise: float, absent: Collection[st
 
 
 def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
-    """Yield the same everywhere, in one installation of every run, each block or run or mounting its own.
+    """Yield the sets of mountings in which an effect of several runs may act.
 
-    What is of some passes is looked for in each run. An effect with a shape is the same in all blocks, or is found
-    in one of them: no shape is looked for that fits blocks of different sizes.
+    An effect may be the same everywhere or in one installation of every run, or differ by block, run or
+    mounting. Effects of single passes are searched in each run instead. An effect with a shape parameter is
+    the same in all blocks, or is found in a single run; its shape is not fitted to different sizes by block.
     """
     readings = linear.readings
     if effect.per_pass:
@@ -290,7 +291,7 @@ def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[st
 
 
 def _labels(readings: Readings, number: Ints) -> Iterator[tuple[str, ...]]:
-    """Yield for each number in turn the mountings of its rows, in order."""
+    """Yield the labels of the mountings of each run or block number in turn."""
     for one in np.unique(number):
         mine = number == one
         pairs = zip(readings.series[mine].tolist(), readings.installation[mine].tolist(), strict=True)
@@ -301,7 +302,7 @@ def _labels(readings: Readings, number: Ints) -> Iterator[tuple[str, ...]]:
 
 
 def _add_unnamed(collector: Collector, unit: float) -> None:
-    """Add what has no name: the same in every run, or another zero or scale factor in each."""
+    """Add the unnamed families: signatures shared by all runs, and zeros or scale factors by run."""
     linear, free = collector.linear, collector.add_free
     rows, readings = linear.rows, linear.readings
     run = readings.run[rows.reading]
@@ -322,7 +323,7 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
 
 
 def _add_by_run(collector: Collector, run: Ints, unit: float) -> None:
-    """Add zeros and scale factors of their own in every run, where a block has more than one."""
+    """Add separate zeros and scale factors for every run, where a block has more than one run."""
     linear = collector.linear
     readings = linear.readings
     block = np.zeros(len(readings), dtype=np.int64) if readings.block is None else readings.block
@@ -344,7 +345,7 @@ def _add_by_run(collector: Collector, run: Ints, unit: float) -> None:
 
 
 def _visit(readings: Readings) -> Ints:
-    """Return which visit within its run a row is of, counted from 1."""
+    """Return the number of the visit (series) of each reading within its run, counted from 1."""
     run = readings.run
     visit = np.empty(len(readings), dtype=np.int64)
     for number in np.unique(run):
@@ -354,7 +355,7 @@ def _visit(readings: Readings) -> Ints:
 
 
 def _phase(readings: Readings) -> Floats:
-    """Return how far in its run each reading is, 0 to 1."""
+    """Return the elapsed fraction of its run for each reading, 0 to 1."""
     elapsed = readings.conditions().elapsed_s
     run = readings.run
     phase = np.zeros(len(readings))
@@ -368,15 +369,15 @@ def _phase(readings: Readings) -> Floats:
 
 
 TOGETHER: Final = 0.004
-"""How often the search over several runs together may find something where nothing is."""
+"""Probability of a false alarm in the joint search over several runs."""
 
 ALONE: Final = 0.002
-"""How often that in each of them may, all runs taken together."""
+"""Probability of a false alarm in the searches of single runs, all runs together."""
 
 
 @dataclass(frozen=True)
 class _Run:
-    """A run by itself: its rows of the whole, what might be missing in it, and the maps to units of its noise."""
+    """A single run: its rows in the joint system, its own system and candidates, and its noise grid."""
 
     rows: Mask
     linear: LinearSystem
@@ -384,22 +385,22 @@ class _Run:
     grid: NoiseGrid
 
     def whitened(self) -> Whitened:
-        """Return its candidates in units of the noise; most runs have nothing alone, and need no products."""
+        """Return the whitened candidates; products are computed on demand, as few runs need them."""
         return Whitened.of(self.grid, self.candidates, few_known=True)
 
 
 COMMON: Final = 5
-"""What more than one run in so many shows by itself is not theirs alone."""
+"""If more than one run in this many has finds alone, these are not taken as effects of single runs."""
 
 UNLIKELY: Final = 5.0
-"""What a run has alone stays beside what all have when its ln odds are so much above none."""
+"""ln odds that an effect of a single run must exceed, beside the common effects, to be kept."""
 
 
 @dataclass(frozen=True)
 class _EachRun:
-    """How each run is searched by itself: limits of the stand, the last digit, thresholds, the noise of a reading.
+    """Settings for the search of single runs: limits of the stand, last digit, thresholds, reading noise.
 
-    `weighed` says by how much rows of all runs are weighed down.
+    `weighed` holds the corrections of the rows of all runs for heavy tails.
     """
 
     stand_u: Mapping[str, float]
@@ -420,7 +421,7 @@ def search_runs(
     resolution: float,
     absent: Collection[str] = (),
 ) -> tuple[Prepared, Naming]:
-    """Prepare readings of several runs and find what is missing; arguments and errors as of `search_run`."""
+    """Return the prepared readings of several runs and their finds; arguments and errors as `search_run`."""
     each = _EachRun(stand, setting_rad, resolution, cache, absent)
 
     def again(
@@ -438,7 +439,7 @@ def search_runs(
 def _prepared(
     linear: LinearSystem, each: _EachRun, limit: Threshold | None = None, most: float = np.inf
 ) -> tuple[Prepared, Naming]:
-    """Look in all runs together and in each, with the noise that the system has; `limit`, `most` where known."""
+    """Prepare and search all runs together and each alone; `limit` and `most` where they are known."""
     repeats = noise_of_repeats(linear, each.resolution)
     repeats = replace(repeats, sigma=min(repeats.sigma, most))
     whitened = Whitened.of(
@@ -455,10 +456,10 @@ def _prepared(
 def _name_in_all_and_each(
     linear: LinearSystem, whitened: Whitened, limit: Threshold, each: _EachRun
 ) -> tuple[Whitened, Naming]:
-    """Find what all runs have and what one has alone; return it with the candidates that it is among.
+    """Return the finds in all runs and in single runs, with the whitened candidates that contain them.
 
-    What a few have alone is looked for first, or it would pass for something that all have; then what all have
-    beside it; then again what one has beside that.
+    Effects of a few single runs are searched first, as they could be mistaken for common effects. Common
+    effects are searched beside them, and then again effects of single runs beside the common ones.
     """
     response = linear.response[:, None]
     data = whitened.reduce(response)
@@ -495,7 +496,7 @@ def _name_in_all_and_each(
 
 
 def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> bool:
-    """Whether what a run has alone is still there beside all that was found, or gave its place to another form."""
+    """Return whether a single-run find is still likely beside all finds, or was replaced by another form."""
     if one.variant not in [found.variant for found in naming.found]:
         return True
     others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]
@@ -504,7 +505,7 @@ def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> 
 
 
 def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming) -> Floats:
-    """Return what was found puts into the rows of all runs, shape (N,)."""
+    """Return the fitted signal of all finds in the rows of all runs, shape (N,)."""
     columns = whitened.candidates.columns[:, list(naming.columns)]
     fitted = posterior(linear, columns, noise_size(whitened, data, naming.columns))
     return columns @ fitted.amplitudes
@@ -513,11 +514,10 @@ def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming
 def _look_in_each(
     candidates: Candidates, runs: Sequence[_Run], in_all: Floats, limit: Threshold
 ) -> tuple[Candidates, tuple[FoundEffect, ...]]:
-    """Look in each run for what it has alone, beside what all have in their rows (N,).
+    """Return the candidates with the single-run finds, and these finds; `in_all` (N,) is the common signal.
 
-    Return the candidates with the columns of what was found added, and what was found. One threshold, that of the
-    first run, serves for all, at a part of the probability for each. Coefficients are free in every run: what one
-    has of another zero or scale factor is no find here.
+    One threshold, computed for the first run, serves for all, with a share of the probability for each run.
+    Coefficients are free in every run, so that a different zero or scale factor is no find here.
     """
     found: list[FoundEffect] = []
     for run in runs:
@@ -545,7 +545,7 @@ def _runs(linear: LinearSystem, each: _EachRun) -> Iterator[_Run]:
 
 
 def _embedded(candidates: Candidates, one: FoundEffect, run: _Run) -> tuple[Candidates, FoundEffect]:
-    """Return the candidates with the columns of what a run has alone, zero in all others, and the find in them."""
+    """Return the candidates with the columns of a single-run find, zero in other runs, and that find."""
     labels, own = _labels_of_runs(run.linear.readings), run.candidates
     chosen = list(one.variant.columns)
     first = candidates.columns.shape[1]

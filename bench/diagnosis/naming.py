@@ -30,11 +30,11 @@ LEAST_EXPLAINED: Final = 0.5
 """A candidate ties by its geometry only when it explains so much of the square: what is hardly larger than the
 leak could be left by anything."""
 FIRST_OF_PAIR: Final = 12
-"""So many effects are tried as the first of a pair."""
+"""The number of effects that are tried as the first of a pair."""
 PAIR_MARGIN: Final = 5.0
-"""Two names are preferred to none when ln of their evidence is so much above."""
+"""Two named effects replace an unnamed family when ln of their evidence is higher by this margin."""
 ABSURD: Final = 60.0
-"""What would have to be so many plausible sizes large ties with nothing."""
+"""A candidate that would have to be this many plausible sizes large ties with no effect."""
 ANY_SIZE: Final = 1e5
 SAME: Final = 1e-6
 """What leaves no more than this part of the square of what another effect puts into the readings does the same."""
@@ -64,18 +64,18 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Naming:
-    """What was found, in order; `left` is the total evidence that still something is missing."""
+    """The finds, in order; `left` is the total evidence that something is still missing."""
 
     found: tuple[FoundEffect, ...]
     left: float
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """Columns of all that was found."""
+        """Column indices of all finds."""
         return tuple(i for f in self.found for i in f.variant.columns)
 
     def parts(self) -> Iterator[tuple[FoundEffect, slice]]:
-        """Yield each thing found with the place of its own among `columns`."""
+        """Yield each find with the slice of its own columns among `columns`."""
         start = 0
         for found in self.found:
             stop = start + len(found.variant.columns)
@@ -85,11 +85,11 @@ class Naming:
 
 @dataclass(frozen=True)
 class Scored:
-    """A data set scored beside what the model has by now.
+    """The scores of a data set beside the known columns of the present model.
 
-    `left` is what that leaves of the data, `evidence` the ln odds of each family, `total` those of anything at
-    all, `of_slip` ln of the ratio of likelihoods of a slip; `ratio` is the number of the likeliest ratio of the two
-    noise sizes.
+    `left` are the data products after the fit of the known columns. `evidence` is the ln odds of each family,
+    `total` the ln odds that anything is missing, and `of_slip` ln of the likelihood ratio of a slip. `ratio`
+    is the index of the likeliest ratio of the two noise sizes.
     """
 
     search: Search
@@ -104,7 +104,7 @@ class Scored:
     def beside(cls, whitened: Whitened, data: Data, known: Sequence[int]) -> Scored:
         """Score all variants beside a model that has the `known` columns already.
 
-        What was scored last of the same data is kept: a search asks for the same again and again.
+        The scores of the same data are cached, as a search requests them repeatedly.
         """
         kept = _kept(whitened, data)
         key = tuple(sorted(known))
@@ -144,7 +144,7 @@ class Scored:
         return self.found(SLIP) if threshold.by_slip(self.of_slip) else None
 
     def found(self, family: str) -> FoundEffect:
-        """Return a family in its best form."""
+        """Return the `family` as a find, in its form with the most evidence."""
         variant = self._best_variant(family)
         size = math.sqrt(self.explained(variant))
         return FoundEffect(variant, self.evidence[family], self.total, size, of_slip=self.of_slip)
@@ -170,7 +170,7 @@ class Scored:
         return variants[best]
 
     def explained(self, variant: Variant) -> float:
-        """Return what a form explains of the data, in units of the noise squared."""
+        """Return the square of the data that a form explains, in units of the noise squared."""
         amplitude, gram = self.amplitude(variant)
         return max(float(amplitude @ gram @ amplitude), 0.0)
 
@@ -184,7 +184,7 @@ class Scored:
 
 
 MOST_KEPT: Final = 24
-"""So many models are kept of the data that were scored last."""
+"""The number of scored models that are cached for the data scored last."""
 
 
 def _kept(whitened: Whitened, data: Data) -> dict[tuple[int, ...], Scored]:
@@ -221,7 +221,7 @@ def name(
 
 
 def _pair_kept(scored: Scored, data: Data, unnamed: FoundEffect) -> list[FoundEffect] | None:
-    """Return `_named_pair`, kept for who searches in the same data again."""
+    """Return the cached result of `_named_pair` for these data."""
     whitened = scored.search.whitened
     _kept(whitened, data)
     pairs: dict[tuple[int, ...], list[FoundEffect] | None] = whitened.kept["pairs"]
@@ -261,7 +261,7 @@ def _columns(found: list[FoundEffect], but: int | None = None) -> list[int]:
 def _re_examine(
     whitened: Whitened, data: Data, found: list[FoundEffect], threshold: Threshold
 ) -> list[FoundEffect]:
-    """Look at each earlier find again beside all others; it may have stood in for something else."""
+    """Test each earlier find again beside all others, as it may have replaced another effect."""
     for _ in range(2):
         changed = False
         for i in range(len(found)):

@@ -1,4 +1,4 @@
-"""The linear system in units of its noise, over a grid of noise ratios; the noise from repeats alone."""
+"""The linear system whitened by its noise over a grid of noise ratios, and the noise from repeats alone."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from bench.readings.table import Readings
 
 
 def coupled(matrix: Floats) -> Iterator[tuple[Ints, Ints]]:
-    """Yield rows and columns, both ascending, between which and all others a matrix (N, k) is zero.
+    """Yield the rows and columns, both ascending, of each independent part of a matrix (N, k).
 
-    Every column is in one of the parts; rows of zeros are in none.
+    Between different parts the matrix is zero. Every column is in one part; rows of zeros are in none.
     """
     many, count = matrix.shape
     row, column = np.nonzero(matrix)
@@ -32,23 +32,24 @@ def coupled(matrix: Floats) -> Iterator[tuple[Ints, Ints]]:
 
 
 RATIOS: Final = (0.0, 0.7, 1.4, 2.6, 5.0, 12.0)
-"""Grid of gamma: what a setting error of the typical slope adds, in units of a reading's noise."""
+"""Grid of gamma: the signal of a setting error at the typical slope, in units of a reading's noise."""
 
 RATIO_SPREAD: Final = 1.0
-"""Standard deviation of ln gamma about what the bench file states: known to a factor of three, no better."""
+"""Prior standard deviation of ln gamma about the bench file's value, which is known to a factor of three."""
 
 LOCAL: Final = 0.5
-"""What reaches no more than this part of the rows has them in one block; beyond, it is fitted with its prior."""
+"""A random column in at most this fraction of the rows joins them in one block; a wider one is fitted."""
 
 ROUNDING: Final = 1e-12
-"""A prior leaves more than that of what is fitted, a coefficient nothing."""
+"""Remaining fraction of variance below which a fitted direction counts as completely removed."""
 
 
 @dataclass(frozen=True)
 class Span:
-    """What is fitted in some of the rows: an orthonormal `basis` (n, k), and what of it a prior leaves in.
+    """A fitted subspace of some of the rows: an orthonormal `basis` (n, k), and the factors `kept` (k,).
 
-    `kept` (k,) is zero for the coefficients, which have none.
+    `kept` is the factor that the prior leaves of each direction. It is zero for coefficients, which have no
+    prior.
     """
 
     rows: slice | Ints
@@ -56,31 +57,32 @@ class Span:
     kept: Floats
 
     def leave(self, white: Floats, taken: Floats) -> None:
-        """Take the part `taken` (k,) of what is fitted out of columns (N, …), in place."""
+        """Remove the fraction `taken` (k,) of each fitted direction from columns (N, …), in place."""
         inside: Floats = self.basis.T @ white[self.rows]
         white[self.rows] -= self.basis @ (inside.T * taken).T
 
 
 @dataclass(frozen=True)
 class Whitener:
-    """A linear map of rows (N,) to numbers of variance sigma^2, those that the coefficients take away left out.
+    """A linear map of rows (N,) to independent numbers of variance sigma^2, with fitted directions removed.
 
-    `blocks` are numbers of rows with the inverse Cholesky factor of their covariance; `fitted` is what is fitted,
-    each orthogonal to all others: of several blocks each has coefficients of its own in rows of its own.
+    `blocks` are row indices with the inverse Cholesky factor of their covariance. `fitted` are the fitted
+    subspaces, orthogonal to each other. Each of several sensor blocks has its own coefficients in its own
+    rows.
     """
 
     blocks: tuple[tuple[Ints, Floats], ...]
     fitted: tuple[Span, ...] = ()
 
     def __matmul__(self, columns: Floats) -> Floats:
-        """Return columns (N, …) in units of the noise: their scalar products are those that count."""
+        """Return the whitened columns (N, …). Their scalar products enter the likelihood."""
         white = self._half(columns)
         for span in self.fitted:
             span.leave(white, 1.0 - span.kept)
         return white
 
     def weigh(self, columns: Floats) -> Floats:
-        """Return the inverse covariance times columns (N, …), what the coefficients take away left out."""
+        """Return the inverse covariance times columns (N, …), with the fitted directions removed."""
         white = self._half(columns)
         for span in self.fitted:
             span.leave(white, 1.0 - span.kept**2)
@@ -91,7 +93,7 @@ class Whitener:
 
     @property
     def diagonal(self) -> Floats:
-        """Of the map that `weigh` is, shape (N,)."""
+        """Diagonal of the matrix that `weigh` applies, shape (N,)."""
         many = sum(len(rows) for rows, _ in self.blocks)
         diagonal = np.empty(many)
         for rows, factor in self.blocks:
@@ -112,12 +114,12 @@ class Whitener:
 
 @dataclass(frozen=True)
 class NoiseGrid:
-    """For each ratio a linear map to white noise with the coefficients projected out.
+    """A grid of noise ratios, each with a linear map to white noise with the coefficients projected out.
 
     `white` (ratios) map rows to numbers of variance sigma^2 when nothing is missing, of which `freedom` are
-    independent; `log_det` (ratios,) completes the restricted likelihood; `log_prior` (ratios,).
-    `setting_rad_per_noise` (ratios,) is the setting error in rad for a reading noise of one. Where `sigma` is
-    `known` it is believed; else the data say how large the noise is.
+    independent. `log_det` (ratios,) completes the restricted likelihood; `log_prior` (ratios,) is ln of the
+    prior. `setting_rad_per_noise` (ratios,) is the setting error in rad for a reading noise of one. With
+    `known` the noise is fixed at `sigma`; otherwise the data determine it.
     """
 
     white: tuple[Whitener, ...]
@@ -129,7 +131,7 @@ class NoiseGrid:
     known: bool = False
 
     def at(self, ratio: int) -> NoiseGrid:
-        """Return the grid with one ratio alone."""
+        """Return the grid with the ratio of the index `ratio` only."""
         one = slice(ratio, ratio + 1)
         return replace(
             self,
@@ -140,7 +142,7 @@ class NoiseGrid:
         )
 
     def log_likelihood(self, square: Floats) -> Floats:
-        """Return ln of the likelihood of residuals with this sum of squares, in units of `sigma` squared."""
+        """Return ln of the likelihood of residuals with the sum of squares `square`, in units of sigma^2."""
         if self.known:
             return -0.5 * square
         return np.asarray(-0.5 * self.freedom * np.log(square), dtype=np.float64)
@@ -149,10 +151,10 @@ class NoiseGrid:
 def make_noise_grid(
     linear: LinearSystem, sigma: float, setting_rad: float, ratios: Sequence[float] = RATIOS
 ) -> NoiseGrid:
-    """Set up the maps. `sigma` is a first estimate of the reading noise, which only scales the stand's limits.
+    """Return the grid of maps. `sigma` is a first estimate of the reading noise; it scales prior sizes.
 
-    `setting_rad` is the setting error that the bench file states (0: not known). With fewer `ratios` than
-    the whole grid the search is quicker: where the noise is known well enough.
+    `setting_rad` is the setting error that the bench file states (0: not known). Fewer `ratios` make the
+    search quicker where the noise is known well enough.
     """
     oriented = linear.setting >= 0
     scaled2 = (linear.slope / linear.relative)[oriented] ** 2
@@ -179,18 +181,18 @@ def make_noise_grid(
 
 
 def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whitener:
-    """Return the map for noise of a reading (unit of the signal) and a setting error (rad) of these very sizes."""
+    """Return the map for exactly this noise of a reading (unit of the signal) and setting error (rad)."""
     wide = _wide(linear)
     return _white(linear, setting_rad / sigma, sigma, wide, _blocks(linear, wide))[0]
 
 
 def _wide(linear: LinearSystem) -> Mask:
-    """Return which of the random columns reach further than a block may."""
+    """Return a mask of the random columns that are in more than the fraction `LOCAL` of the rows."""
     return np.asarray(np.count_nonzero(linear.random, axis=0) > LOCAL * len(linear))
 
 
 def _blocks(linear: LinearSystem, wide: Mask) -> tuple[Ints, ...]:
-    """Return the rows that a setting or anything that is not `wide` joins, each block in ascending order."""
+    """Return the blocks of rows joined by a setting or by a column that is not `wide`, in ascending order."""
     row, column = np.nonzero(linear.random[:, ~wide])
     oriented = np.flatnonzero(linear.setting >= 0)
     ends = np.concatenate([column, np.count_nonzero(~wide) + linear.setting[oriented]])
@@ -224,7 +226,7 @@ def _white(
 
 
 def _fitted(half: Whitener, fixed: Floats, wide: Floats) -> tuple[tuple[Span, ...], float]:
-    """Return what coefficients take up, and beside them the `wide` columns with their prior; ln of determinants."""
+    """Return the subspaces of the coefficients and of `wide` columns with their prior; ln of determinants."""
     white = half @ fixed
     spans = []
     log_det = 0.0
@@ -252,37 +254,37 @@ def _as_slice(rows: Ints) -> slice | Ints:
 
 
 class Products(Protocol):
-    """Scalar products of P columns, for each ratio of the noise sizes."""
+    """Interface to the scalar products of P whitened columns, for each ratio of the noise sizes."""
 
     def across(self, columns: Ints) -> Floats:
-        """Return those of some columns (k,) with all, shape (ratios, k, P)."""
+        """Return the products of some columns (k,) with all, shape (ratios, k, P)."""
 
     def across_at(self, ratio: int, columns: Ints) -> Floats:
-        """Return the same for one ratio, shape (k, P)."""
+        """Return the products of some columns (k,) with all for one ratio, shape (k, P)."""
 
     def among(self, columns: Ints) -> Floats:
-        """Return those of columns (…, p) with each other, shape (ratios, …, p, p)."""
+        """Return the products of columns (…, p) with each other, shape (ratios, …, p, p)."""
 
     def at(self, ratio: int) -> Products:
-        """Return those of one ratio alone."""
+        """Return the products for one ratio only."""
 
 
 @dataclass(frozen=True)
 class ColumnProducts:
-    """From the columns `white` (ratios, N, P), which are fewer numbers where there are fewer rows than columns."""
+    """Products computed on demand from columns `white` (ratios, N, P): best for fewer rows than columns."""
 
     white: Floats
 
     def across(self, columns: Ints) -> Floats:
-        """Return those of some columns (k,) with all, shape (ratios, k, P)."""
+        """Return the products of some columns (k,) with all, shape (ratios, k, P)."""
         return np.swapaxes(self.white[:, :, columns], 1, 2) @ self.white
 
     def across_at(self, ratio: int, columns: Ints) -> Floats:
-        """Return the same for one ratio, shape (k, P)."""
+        """Return the products of some columns (k,) with all for one ratio, shape (k, P)."""
         return np.asarray(self.white[ratio][:, columns].T @ self.white[ratio])
 
     def among(self, columns: Ints) -> Floats:
-        """Return those of columns (…, p) with each other, shape (ratios, …, p, p)."""
+        """Return the products of columns (…, p) with each other, shape (ratios, …, p, p)."""
         if columns.shape[-1] == 1:
             return np.asarray(self._square[:, columns[..., 0], None, None])
         chosen = np.moveaxis(self.white[:, :, columns], 1, -2)
@@ -293,30 +295,30 @@ class ColumnProducts:
         return np.asarray(np.einsum("gnp,gnp->gp", self.white, self.white))
 
     def at(self, ratio: int) -> ColumnProducts:
-        """Return those of one ratio alone."""
+        """Return the products for one ratio only."""
         return ColumnProducts(self.white[ratio : ratio + 1])
 
 
 @dataclass(frozen=True)
 class GramProducts:
-    """From the Gram matrix (ratios, P, P), which is fewer numbers where there are more rows than columns."""
+    """Products taken from the Gram matrix (ratios, P, P): smaller for more rows than columns."""
 
     gram: Floats
 
     def across(self, columns: Ints) -> Floats:
-        """Return those of some columns (k,) with all, shape (ratios, k, P)."""
+        """Return the products of some columns (k,) with all, shape (ratios, k, P)."""
         return np.asarray(self.gram[:, columns])
 
     def across_at(self, ratio: int, columns: Ints) -> Floats:
-        """Return the same for one ratio, shape (k, P)."""
+        """Return the products of some columns (k,) with all for one ratio, shape (k, P)."""
         return np.asarray(self.gram[ratio][columns])
 
     def among(self, columns: Ints) -> Floats:
-        """Return those of columns (…, p) with each other, shape (ratios, …, p, p)."""
+        """Return the products of columns (…, p) with each other, shape (ratios, …, p, p)."""
         return np.asarray(self.gram[:, columns[..., :, None], columns[..., None, :]])
 
     def at(self, ratio: int) -> GramProducts:
-        """Return those of one ratio alone."""
+        """Return the products for one ratio only."""
         return GramProducts(self.gram[ratio : ratio + 1])
 
 
@@ -324,26 +326,27 @@ class GramProducts:
 
 
 LEAST_FREEDOM: Final = 6
-"""Settings beyond the saturated description below which repeats tell too little."""
+"""Least number of settings beyond the saturated description from which repeats determine the noise."""
 RATIOS2: Final = np.append(0.0, np.geomspace(1e-2, 1e6, 81))
-"""Variances of what is along du/dphi, at its largest, that are tried: in variances of the noise."""
+"""Trial variances of the setting error where it is largest, in units of the noise variance."""
 
 
 @dataclass(frozen=True)
 class Repeats:
-    """Noise of a reading (unit of the signal) from what repeats of a setting leave; `freedom` in settings."""
+    """Noise `sigma` of a reading (unit of the signal) from repeats of settings; `freedom` in settings."""
 
     sigma: float
     freedom: int
 
 
 def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
-    """Return the scatter about a free value for each mounting and angle, each pass, and a slope in each mounting.
+    """Return the noise from the scatter of repeated settings about a saturated description.
 
-    A pass is free in its bias and in a wave once a turn: what slips, is set anew or exchanged between passes is
-    no noise. Noise and setting error, which is along du/dphi, are the likeliest for what is left (restricted
-    likelihood): what describes a setting brings errors of others to it, across its own du/dphi as well. Where there
-    are too few repeats, the scatter about the model stands in. Never below rounding to `resolution`.
+    The description has a free value for each mounting and angle, and a slope in order of measurement for each
+    mounting. Each pass has a free bias and a free wave once a turn, so that changes between passes are no
+    noise. Noise and setting error (along du/dphi) maximise the restricted likelihood of the residuals. It
+    accounts for the errors that the description carries from one setting to another. With too few repeats,
+    the scatter about the model is used instead. The noise is never below the rounding to `resolution`.
     """
     parts = parts_of_repeats(linear)
     floor = max(resolution / np.sqrt(12.0), 1e-11 * float(np.max(np.abs(linear.readings.signal))))
@@ -354,9 +357,9 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
 
 @dataclass(frozen=True)
 class IndependentParts:
-    """Squares (m,) of independent parts of what repeats leave, and the setting error's share `along` (m,) in each.
+    """Independent residuals of repeats: their `squares` (m,), and the setting error's share `along` (m,).
 
-    In units of the rows' noise beside each other; `freedom` in settings.
+    The residuals are scaled by the relative noise of the rows. `freedom` is in settings.
     """
 
     squares: Floats
@@ -366,7 +369,10 @@ class IndependentParts:
 
 @dataclass(frozen=True)
 class Likeliest:
-    """The likeliest noise, its degrees of freedom beside a setting error, and the squares over what is expected."""
+    """Maximum likelihood noise `sigma`, its degrees of freedom, and the squares over their expectation.
+
+    The degrees of freedom are reduced by those that determine the setting error.
+    """
 
     sigma: float
     freedom: float
@@ -374,7 +380,7 @@ class Likeliest:
 
 
 def parts_of_repeats(linear: LinearSystem, chosen: Mask | None = None) -> IndependentParts:
-    """Return what repeats of settings leave, of all readings or of those `chosen` (n,): whole mountings."""
+    """Return the residuals of repeats, of all readings or of those `chosen` (n,) in whole mountings."""
     oriented = linear.setting >= 0
     readings = linear.readings
     reading = linear.rows.reading[oriented][::3]
@@ -396,9 +402,9 @@ def parts_of_repeats(linear: LinearSystem, chosen: Mask | None = None) -> Indepe
 
 
 def _of_mount(free: Floats, left: Floats, slope: Floats) -> tuple[Floats, Floats]:
-    """Return the squares (3k,) of independent parts of what is `left` (n, 3), and the setting error's part in each.
+    """Return the squares (3k,) of independent parts of `left` (n, 3), and the setting error's share in each.
 
-    `free` (n, k) spans what no description of the settings reaches. In units of the channels' noise.
+    `free` (n, k) spans the complement of the saturated description. Units are the channels' relative noise.
     """
     turned = (free[:, :, None] * slope[:, None, :]).reshape(len(slope), -1).T
     vectors, size, _ = np.linalg.svd(turned)
@@ -409,7 +415,7 @@ def _of_mount(free: Floats, left: Floats, slope: Floats) -> tuple[Floats, Floats
 
 
 def likeliest(parts: IndependentParts) -> Likeliest:
-    """Return the noise of which, with a setting error, these parts are the likeliest."""
+    """Return the maximum likelihood noise of these parts, jointly with a setting error."""
     squares, along = parts.squares, parts.along
     ratio = RATIOS2 / max(float(along.max()), 1e-300)
     size = 1.0 + np.outer(ratio, along)
@@ -438,7 +444,7 @@ def _about_model(linear: LinearSystem) -> float:
 
 
 def cells_of(linear: LinearSystem) -> NDArray[np.int64]:
-    """Number the settings by mounting and angle, to 5 deg: those of a number repeat each other, shape (n,)."""
+    """Return the cell number (n,) of each setting by mounting and angle, to 5 deg; a cell holds repeats."""
     reading = linear.rows.reading[linear.setting >= 0][::3]
     angle = np.round(np.degrees(linear.readings.angle_rad[reading]) / 5.0).astype(int)
     keys = list(zip(_mounts(linear), angle.tolist(), strict=True))
@@ -452,7 +458,7 @@ def _mounts(linear: LinearSystem) -> list[str]:
 
 
 def _saturated(angle: Ints, passes: Ints, angle_rad: Floats) -> Floats:
-    """Return the columns that describe the settings of a mounting freely."""
+    """Return the columns of the saturated description of the settings of a mounting."""
     cells = (angle[:, None] == np.unique(angle)).astype(np.float64)
     of_pass = (passes[:, None] == np.unique(passes)).astype(np.float64)
     waves = [of_pass * np.cos(angle_rad)[:, None], of_pass * np.sin(angle_rad)[:, None]]
@@ -461,13 +467,13 @@ def _saturated(angle: Ints, passes: Ints, angle_rad: Floats) -> Floats:
 
 
 def _beyond(columns: Floats) -> Floats:
-    """Return an orthonormal basis (n, k) of what the columns (n, p) do not reach."""
+    """Return an orthonormal basis (n, k) of the complement of the columns (n, p)."""
     u, size, _ = np.linalg.svd(columns)
     return np.asarray(u[:, np.count_nonzero(size > 1e-9 * size[0]) :])
 
 
 HARDLY_ANY: Final = 0.1
-"""A part of the noise so small that it may be left out."""
+"""Fraction of the noise below which repeated rounding error is neglected."""
 TERMS: Final = 30
 
 
@@ -481,19 +487,19 @@ def digit_of(readings: Readings) -> float:
 
 
 def is_coarse(digit: float, sigma: float) -> bool:
-    """Whether the last digit is coarser than the noise `sigma`, rounding included."""
+    """Return whether the last digit is coarser than the noise `sigma`, which includes rounding."""
     return digit > sigma
 
 
 def is_rounded(digit: float, sigma: float) -> bool:
-    """Whether rounding repeats itself: the noise is then believed to be `sigma`, that of the digit at least."""
+    """Return whether the rounding error repeats; the noise is then fixed at `sigma`."""
     return repeated(digit, sigma) > HARDLY_ANY * sigma
 
 
 def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:
-    """Return the system in which readings of a setting share an error of rounding, where that is not negligible.
+    """Return the system with a rounding error shared by repeats of a setting, where it is not negligible.
 
-    `sigma` is the noise as the repeats give it, never less than that of rounding.
+    `sigma` is the noise from the repeats, which is never below that of rounding.
     """
     if not is_rounded(digit, sigma):
         return linear
@@ -506,12 +512,12 @@ def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSys
 
 
 def grid_with_rounding(linear: LinearSystem, sigma: float, setting_rad: float, digit: float) -> NoiseGrid:
-    """Return the maps of `make_noise_grid`; the noise is believed where rounding repeats itself."""
+    """Return the grid of `make_noise_grid`, with the noise fixed where the rounding error repeats."""
     return replace(make_noise_grid(linear, sigma, setting_rad), known=is_rounded(digit, sigma))
 
 
 def repeated(digit: float, sigma: float) -> float:
-    """Return the standard deviation of the error of rounding that repeats, unit of the signal."""
+    """Return the standard deviation of the repeated part of the rounding error, unit of the signal."""
     if not digit > 0.0:
         return 0.0
     s2 = max(sigma**2 / digit**2 - 1.0 / 12.0, 0.0)
@@ -520,14 +526,14 @@ def repeated(digit: float, sigma: float) -> float:
 
 
 UNEQUAL_P: Final = 0.01
-"""Runs have sizes of their own where chance alone makes them so different less often than this."""
+"""Runs have noise of different sizes where the p-value of equal sizes is below this."""
 
 
 def with_sizes_of_runs(linear: LinearSystem, least: float) -> LinearSystem:
-    """Return the system in which each run has noise of its own size, where the runs are not alike.
+    """Return the system with a noise size for each run, where the runs differ significantly.
 
-    `least` is the least noise that is believed, unit of the signal: below it digits tell, not runs. Where a run has
-    too few repeats to tell its noise all count as alike.
+    `least` is the lower limit of the noise of a run in the unit of the signal, set by rounding. Where a run
+    has too few repeats to determine its noise, all runs count as alike.
     """
     by_run = _by_run(linear, least)
     return linear if by_run is None else replace(linear, by_run=by_run)
@@ -553,9 +559,9 @@ def _by_run(linear: LinearSystem, least: float) -> RunSizes | None:
 
 
 def p_alike(variance: Floats, freedom: Floats, kurtosis: float) -> float:
-    """Return the probability of variances (runs,) so different where all are alike, each of so many degrees.
+    """Return the p-value of equal variances (runs,), each with its degrees of `freedom` (Bartlett's test).
 
-    `kurtosis` is the excess of what they are of.
+    `kurtosis` is the excess kurtosis of the residuals, for which the test statistic is corrected.
     """
     runs, whole = len(variance), float(freedom.sum())
     apart = whole * np.log(np.average(variance, weights=freedom)) - float(freedom @ np.log(variance))
@@ -564,6 +570,6 @@ def p_alike(variance: Floats, freedom: Floats, kurtosis: float) -> float:
 
 
 def _kurtosis(found: list[Likeliest]) -> float:
-    """Return the excess kurtosis of what the repeats leave, each run in units of its own noise."""
+    """Return the excess kurtosis of the residuals of repeats, each run in units of its own noise."""
     squares = np.concatenate([one.scaled for one in found])
     return float(np.mean(squares**2) / np.mean(squares) ** 2 - 3.0)

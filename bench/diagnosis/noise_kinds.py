@@ -28,7 +28,7 @@ CLIP: Final = 2.5
 OF_READING: Final = 0.4
 """A row tells of the noise of readings where the fit, which has the error of its setting in it, leaves as much."""
 FREEST: Final = 0.05
-"""What the fit leaves of a reading is reckoned as no less than this."""
+"""Lower limit of the fraction of a reading that the fit leaves."""
 SURE_OF_WEIGHTS: Final = -0.5
 """Tails count as heavy where ln of the odds for them is more: of normal noise it is about -5."""
 CLEARLY: Final = 3.0
@@ -40,7 +40,7 @@ ROBUST: Final = 1.4826
 
 @dataclass(frozen=True)
 class WeighedDown:
-    """By how much rows were changed, `pull` (N,), how many `readings` that concerns, ln of the `odds` of tails."""
+    """Result of weighting for heavy tails: row changes `pull` (N,), count of `readings`, ln `odds`."""
 
     pull: Floats
     readings: int
@@ -67,7 +67,7 @@ def weigh_down(
 
 
 def _in_few(candidates: Candidates, found: FoundEffect) -> bool:
-    """Whether what was found shows in fewer rows than tell of tails."""
+    """Return whether a find shows in too few rows to be told from heavy tails."""
     rows = np.any(candidates.columns[:, list(found.variant.columns)] != 0.0, axis=1)
     return bool(np.count_nonzero(rows) < LEAST_VALUES)
 
@@ -127,7 +127,7 @@ class _Fit:
 
 
 UNEQUAL_P: Final = 0.01
-"""Channels have sizes of their own where chance alone makes them so different less often than this."""
+"""Channels have noise of different sizes where the p-value of equal sizes is below this."""
 
 
 @dataclass(frozen=True)
@@ -195,9 +195,9 @@ def sizes_left(
 WAVES: Final = 16
 """Half waves over a run, the slowest of them."""
 SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
-"""Sizes that are tried, root mean squares in units of the noise of a reading."""
+"""Trial sizes of slow noise: root mean squares in units of the noise of a reading."""
 SURE: Final = 1e-3
-"""Slow noise is there where chance alone makes its likelihood so much larger less often than this."""
+"""Slow noise is significant where the p-value of its likelihood ratio is below this."""
 BESIDE: Final = (0.25, 0.5, 1.0, 2.0)
 """Sizes of slow noise of all channels beside which what was found must hold, in units of the noise of a reading."""
 
@@ -329,7 +329,7 @@ def _waves(linear: LinearSystem, channel: int) -> Floats | None:
 
 
 def with_slow_noise(linear: LinearSystem, slow: Sequence[SlowNoise]) -> LinearSystem:
-    """Return the system with slow noise among what is random."""
+    """Return the system with slow noise as further `random` columns."""
     return linear.with_noise(*(one.columns for one in slow))
 
 
@@ -386,7 +386,7 @@ def noise_kinds(
 
 
 def _series(linear: LinearSystem) -> list[list[int]]:
-    """Return the series of each run."""
+    """Return the numbers of the series in each run."""
     readings = linear.readings
     return [np.unique(readings.series[readings.run == number]).tolist() for number in np.unique(readings.run)]
 
@@ -459,7 +459,7 @@ def noise_findings(
 def _of_readings(
     noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float], digit: float
 ) -> Iterator[NoiseFinding]:
-    """Yield the noise of readings beside what is stated of it."""
+    """Yield a finding where the noise of readings exceeds its stated value."""
     stated = _stated(readings, stand_u, digit / np.sqrt(12.0))
     if stated is not None:
         factor = noise.reading / stated.size
@@ -470,7 +470,7 @@ def _of_readings(
 def _of_runs(
     by_run: RunSizes, noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float], digit: float
 ) -> Iterator[NoiseFinding]:
-    """Yield that of each run by itself."""
+    """Yield the findings on the noise of readings for each run by itself."""
     runs = len(by_run.sizes)
     for number in range(runs):
         own = readings.select(readings.run == number)
@@ -484,7 +484,7 @@ def _of_runs(
 def _of_settings(
     noise: NoiseSize, stand_u: Mapping[str, float], typical_slope: float
 ) -> Iterator[NoiseFinding]:
-    """Yield the error of settings beside what the bench file says."""
+    """Yield a finding where the setting error exceeds the value in the bench file."""
     setting = stand_u.get("setting_error", 0.0)
     if setting > 0.0:
         along = [noise.reading**2 + (size * typical_slope) ** 2 for size in (noise.setting_rad, setting)]

@@ -62,7 +62,7 @@ from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import Readings
 
 UNEXPLAINED: Final = 1e-3
-"""Chance that the repeats alone explain what the named effects leave, below which something is left over."""
+"""Residuals beside the named effects are significant where their p-value given the repeats is below this."""
 
 
 def diagnose(
@@ -156,10 +156,11 @@ def _named(
 
 @dataclass(frozen=True)
 class _Estimated:
-    """Coefficients and named effects together.
+    """The joint estimate of coefficients and named effects.
 
-    `sized` has the effects in the shapes found, `fitted` also with what they may have of other shapes (`in_part`),
-    of which `left_open` goes into a model file. `p_left` is the probability of what is left beside the repeats.
+    `sized` has the effects in the shapes found. `fitted` also has their possible parts with other shapes
+    (`in_part`), of which `left_open` goes into a model file. `p_left` is the p-value of the residuals,
+    compared with the scatter of the repeats.
     """
 
     effects: tuple[NamedEffect, ...]
@@ -415,15 +416,15 @@ class FullDiagnosis:
     blocks: tuple[ModelComparison, ...] = ()
 
     def rivals_of(self, effect: int) -> tuple[Rival, ...]:
-        """Return the ranking of the effect of this number; nothing where it was not ranked."""
+        """Return the ranking of the effect with this index; empty where it was not ranked."""
         return self.ranking[effect] if effect < len(self.ranking) else ()
 
 
 @dataclass(frozen=True)
 class MistakesAlone:
-    """A diagnosis that ended with mistakes: what they leave does not determine the coefficients.
+    """A diagnosis that ended with mistakes, as the remaining readings do not determine the coefficients.
 
-    `corrected` are the readings with the mistakes put right, `reason` says what is missing in them.
+    `corrected` are the readings with the mistakes corrected; `reason` says why they are insufficient.
     """
 
     source: str

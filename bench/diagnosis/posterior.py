@@ -1,4 +1,4 @@
-"""Coefficients and effects together once the effects are settled; what their unknown shapes add to u."""
+"""Joint estimate of coefficients and effects, and the uncertainty due to unknown shapes of the effects."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from bench.model.effects.base import InPart, in_part
 from bench.model.effects.voltmeter import NORMAL_V
 
 AVERAGED: Final = 5
-"""Parts over whose sizes is averaged: of one run no more are found, of many the least sure count."""
+"""Largest number of finds averaged over their prior sizes. Of more finds, the least certain are averaged."""
 
 
 @dataclass(frozen=True)
 class NoiseSize:
-    """Noise of a reading (unit of the signal), setting error (rad), and the freedom they were found with."""
+    """Estimated noise of a reading (unit of the signal) and setting error (rad), with degrees of freedom."""
 
     reading: float
     setting_rad: float
@@ -40,9 +40,10 @@ class NoiseSize:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Estimates of coefficients (less the first guess), stand and effects, with covariance, unit of the priors.
+    """Joint estimates of coefficients (less the first guess), stand and effects, with their covariance.
 
-    Order: 12 coefficients of each block in their units; the columns of `LinearSystem.random`; the effects' columns.
+    Stand and effects are in units of their priors. Order: 12 coefficients of each block in their units; the
+    columns of `LinearSystem.random`; the effects' columns.
     """
 
     mean: Floats
@@ -51,18 +52,18 @@ class Posterior:
 
     @property
     def amplitudes(self) -> Floats:
-        """Of the effects' columns."""
+        """Amplitudes of the effects' columns, in plausible sizes."""
         return self.mean[len(self.mean) - self.effects :]
 
     @property
     def amplitude_covariance(self) -> Floats:
-        """Their covariance."""
+        """Covariance matrix of the amplitudes."""
         first = len(self.mean) - self.effects
         return self.covariance[first:, first:]
 
 
 def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseSize:
-    """Return the most probable noise sizes when the `known` columns are in the model."""
+    """Return the noise sizes with the `known` columns in the model, averaged over the noise ratios."""
     search = Search.beside(whitened, known)
     left = search.left_over(data)
     grid = whitened.grid
@@ -80,7 +81,7 @@ def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseS
 
 
 def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None) -> Posterior:
-    """Estimate from `rows` (all by default) with the effects' columns (N, m), one prior size each."""
+    """Return the estimates from `rows` (all by default) with the effects' columns (N, m), one size each."""
     extra = effects.shape[1]
     normal, right = _normal(linear, effects, noise, rows)
     covariance = _inverse(normal + np.diag(_at_the_end(np.full(extra, 1.0 / KNOWN_SIZE**2), len(normal))))
@@ -88,12 +89,12 @@ def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mas
 
 
 def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, noise: NoiseSize) -> Posterior:
-    """Estimate with all that was found, averaged over the sizes that effects may have.
+    """Return the joint estimates with all effects found, averaged over the prior sizes of the effects.
 
-    What the readings do not tell of an effect (how it divides between mountings, say) is as uncertain as effects
-    of such sizes are, each size with the probability that the prior of the search (`evidence.SIZES`) and the
-    readings give it. Mean and covariance are those of the mixture. All else is normal given the effects, so that
-    it is eliminated once.
+    The readings may not determine an effect completely, for example its division between mountings. There the
+    prior sizes (`evidence.SIZES`) set the uncertainty, each with its posterior probability. Mean and
+    covariance are those of the mixture. All other unknowns are normal given the effects, so that they are
+    eliminated once.
     """
     columns = candidates.columns[:, list(naming.columns)]
     extra = columns.shape[1]
@@ -118,9 +119,10 @@ def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, nois
 
 
 def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tuple[Floats, Floats]:
-    """Return mean (m,) and covariance (m, m) of amplitudes, averaged over the size of each part of them.
+    """Return mean (m,) and covariance (m, m) of the amplitudes, averaged over the prior sizes of each part.
 
-    `precision` (m, m) and `right` (m,) are what the readings say of them, without a prior.
+    `precision` (m, m) and `right` (m,) are the normal matrix and right side of the amplitudes without a
+    prior.
     """
     log_weights, means, spreads = zip(
         *(
@@ -137,7 +139,7 @@ def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tu
 
 
 def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -> list[tuple[int, ...]]:
-    """Return the sizes over which each part is averaged: all, but of many parts the surest have the likeliest."""
+    """Return the size indices to average for each part; the surest of many parts have the likeliest only."""
     every = tuple(range(len(SIZES)))
     if len(parts) <= AVERAGED:
         return [every] * len(parts)
@@ -155,7 +157,7 @@ def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -
 def _of_sizes(
     precision: Floats, right: Floats, parts: Sequence[slice], sizes: Sequence[int]
 ) -> tuple[float, Floats, Floats]:
-    """Return ln of the probability of these sizes of the parts, and mean and covariance of amplitudes then."""
+    """Return ln of the probability of these prior sizes, and the amplitudes' mean and covariance for them."""
     prior = np.ones(len(right))
     for size, mine in zip(sizes, parts, strict=True):
         prior[mine] = 1.0 / SIZES[size] ** 2
@@ -168,7 +170,7 @@ def _of_sizes(
 def _normal(
     linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None
 ) -> tuple[Floats, Floats]:
-    """Return normal matrix and right side with the priors of the stand, none of the effects' columns (N, m)."""
+    """Return normal matrix and right side, without a prior for the effects' columns (N, m)."""
     mine = np.ones(len(linear), dtype=bool) if rows is None else rows
     design = np.concatenate([linear.fixed, linear.random, effects], axis=1)[mine]
     white = whiten_rows(linear, noise, np.column_stack([design, linear.response[mine]]), mine)
@@ -189,7 +191,7 @@ def _inverse(normal: Floats) -> Floats:
 
 
 def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: Mask) -> Floats:
-    """Return R^(-1/2) times columns of the given rows; whole settings must be among them."""
+    """Return R^(-1/2) times the columns, R the noise covariance. The `rows` must contain whole settings."""
     relative = linear.relative[rows][:, None]
     columns = columns / relative
     slope = linear.slope[rows][:, None] / relative
@@ -209,7 +211,7 @@ def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: M
 def predicted_error(
     linear: LinearSystem, effects: Floats, noise: NoiseSize, fitted: Posterior, rows: Mask
 ) -> tuple[Floats, float]:
-    """Return measured less predicted in rows that were not used (n,), and its chi-square.
+    """Return measured less predicted (n,) in `rows` that the fit did not use, and its chi-square.
 
     The covariance is that of the noise and of all that was estimated.
     """
@@ -221,15 +223,15 @@ def predicted_error(
 
 
 ADDED: Final = ("warm_up", "bias_drift", "thermal_bias", "turn_on_shift")
-"""Effects that add to the signals whatever the acceleration is."""
+"""Effects that add to the signals independently of the acceleration."""
 EQUAL: Final = 0.05
-"""Probability above which three sizes in volts count as equal,"""
+"""Three sizes in volts count as equal where the p-value of their differences is above this,"""
 SEEN: Final = 4.0
-"""where each is so many standard uncertainties large: three that are hardly there are always equal."""
+"""and each exceeds this many standard uncertainties, as three insignificant sizes are always equal."""
 
 
 def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Iterator[str]:
-    """Yield a sentence for each effect of the three accelerometers that is the same in volts in all of them."""
+    """Yield a sentence for each effect that has the same size in volts in all three channels."""
     # one prior size of each channel's column is the same part of its K_ii
     scale = np.diag(linear.block.K)
     apart = np.diff(np.eye(3), axis=0)
@@ -251,7 +253,7 @@ def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Ite
 
 
 FAR_BETTER: Final = 0.25
-"""A sum or difference is stated when its u is no more than this part of that of either value."""
+"""A sum or difference is stated when its u is at most this fraction of the u of either value."""
 
 
 @dataclass(frozen=True)
@@ -271,9 +273,9 @@ def known_together(
 ) -> tuple[KnownTogether, ...]:
     """Return the sums and differences of two values of a parameter that are far better known than either.
 
-    `value` (m,) and `covariance` (m, m) are in plausible sizes, as the variant's columns. So the third mounting
-    angle of both installations: verification points tell the sum, nothing tells the difference, which is a turn
-    of the block's axes.
+    `value` (m,) and `covariance` (m, m) are in plausible sizes, as the variant's columns. An example is the
+    third mounting angle of both installations. Verification points determine the sum; nothing determines the
+    difference, which is a rotation of the block's axes.
     """
     return tuple(_pairs(candidates, variant, value, covariance))
 
@@ -303,7 +305,7 @@ def _pairs(
 
 
 def _place(kind: Column) -> str:
-    """Return what a column is of: "z", "installation 1", "z in installation 1"."""
+    """Return the place of a column in words: "z", "installation 1", "z in installation 1"."""
     channel = "" if kind.channel is None else CHANNELS[kind.channel]
     mounts = f"installation {'+'.join(kind.mounts)}" if kind.mounts else ""
     return " in ".join(filter(None, (channel, mounts)))
@@ -312,7 +314,7 @@ def _place(kind: Column) -> str:
 def applied_of(
     candidates: Candidates, variant: Variant, value: Floats, u: Floats
 ) -> tuple[AppliedEffect, ...]:
-    """Return an effect with estimated values in SI, once for each set of mountings with its own values.
+    """Return an effect with its estimated values in SI, one entry for each set of mountings.
 
     `value` (m,) and `u` (m,) are in plausible sizes, as the variant's columns.
     """
@@ -337,19 +339,19 @@ def applied_of(
 
 
 PART: Final = 0.5
-"""Prior 1 sigma of what another shape may have, in sizes of what was found: half of it, as of two alike."""
+"""Prior 1 sigma of the size of another shape, as a fraction of the size found."""
 BEYOND: Final = 2.0
-"""A step beyond the ends of a grid of time constants, lags or widths."""
+"""Factor by which other shapes extend beyond the ends of a grid of time constants, lags or widths."""
 WIDE: Final = 1.5
-"""Neighbours of a grid that are further apart than so many times have another shape between them."""
+"""Neighbours of a grid whose ratio exceeds this have another shape between them."""
 HARDLY: Final = 0.01
-"""A channel that has the effect with no more probability is left out."""
+"""A channel that has the effect with at most this probability is left out."""
 
 Shape = tuple[tuple[str, float], ...]
 
 
 def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
-    """Yield the shapes that an effect may have in part, beside the one that was found."""
+    """Yield the other shapes that a part of the effect may have, besides the shape found."""
     for place, (name, value) in enumerate(found):
         parameter = next(p for p in effect.parameters if p.name == name)
         if parameter.unit == "1":
@@ -366,10 +368,10 @@ def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
 def beside(
     candidates: Candidates, naming: Naming, sized: Posterior, channels: Mapping[int, Floats] | None = None
 ) -> tuple[tuple[AppliedEffect, ...], ...]:
-    """Return what each of the things found may have of other shapes: values of zero with their prior u, SI.
+    """Return for each find its possible parts with other shapes: values of zero with their prior u, SI.
 
-    `sized` are the sizes with the shapes that were found, `channels` (3,) how plausible it is of each find, by
-    its number, that a channel has it (`channels_of`).
+    `sized` are the sizes estimated with the shapes found. `channels` maps the index of a find to the
+    probability (3,) that each channel has it (`channels_of`).
     """
     return tuple(
         tuple(_of(candidates, found.variant, sized.amplitudes[mine], (channels or {}).get(number)))
@@ -378,7 +380,7 @@ def beside(
 
 
 def channels_of(whitened: Whitened, data: Data, naming: Naming) -> dict[int, Floats]:
-    """Return for each find how plausible it is that a channel has it (3,), by the evidence of its forms."""
+    """Return for each named find the probability (3,) of each channel, by the evidence of its forms."""
     plausible = {}
     for number, one in enumerate(naming.found):
         if not one.variant.named:
@@ -415,7 +417,7 @@ def _of(
 
 
 def _steps(effect: Effect, shape: Shape) -> int:
-    """Return how many shapes the catalogue itself tries, and those beyond its ends, but for the one found."""
+    """Return the number of shapes in the catalogue's grids and just beyond them, without the shape found."""
     grids = [p.grid for name, _ in shape for p in effect.parameters if p.name == name and p.unit != "1"]
     return sum(len(grid) + 1 for grid in grids)
 
@@ -423,7 +425,7 @@ def _steps(effect: Effect, shape: Shape) -> int:
 def _with_shape(
     candidates: Candidates, variant: Variant, shape: Shape, sizes: Floats
 ) -> Iterator[AppliedEffect]:
-    """Yield the effect with another shape in the channels found; `sizes` of the columns, plausible sizes."""
+    """Yield the effect with another shape in the channels found. `sizes` (plausible sizes) give its u."""
     kinds = [candidates.kinds[column] for column in variant.columns]
     for mounts in dict.fromkeys(kind.mounts for kind in kinds):
         values: dict[str, Floats] = {name: np.asarray(size) for name, size in shape}
@@ -441,7 +443,7 @@ def _with_shape(
 def _in_other_channels(
     candidates: Candidates, variant: Variant, sizes: Floats, plausible: Floats
 ) -> Iterator[AppliedEffect]:
-    """Yield the effect with the shape found in the channels that may have it, too, each as plausibly as said."""
+    """Yield the effect with the shape found in other channels, its u weighted by their probability."""
     others = [c for c in range(3) if c not in variant.channels and plausible[c] > HARDLY]
     kinds = [candidates.kinds[column] for column in variant.columns]
     for mounts in dict.fromkeys(kind.mounts for kind in kinds):
@@ -464,7 +466,7 @@ def _in_other_channels(
 
 
 def with_other_shapes(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> LinearSystem:
-    """Return the system with what the effects may have of other shapes among what is unknown by a prior."""
+    """Return the system with the possible other shapes of the effects as further `random` columns."""
     columns = [piece.column for piece in pieces(linear, others)]
     if not columns:
         return linear
@@ -472,7 +474,7 @@ def with_other_shapes(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -
 
 
 class OpenSize(NamedTuple):
-    """One size that is open: its effect, its parameter and channel (None: of all), the rows (N,) of one prior u."""
+    """One open size: its effect, parameter and channel (None: all), and the `column` (N,) of one prior u."""
 
     applied: AppliedEffect
     parameter: str
@@ -496,7 +498,7 @@ def pieces(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> Iterator[
 
 
 SHOWS: Final = 0.3
-"""What changes these readings by less, in units of noise in all, is left out."""
+"""A direction that changes all readings together by less, in units of noise, is left out."""
 ROUNDING: Final = 1e-12
 
 
@@ -508,9 +510,10 @@ def left_open(
     fitted: Posterior,
     noise: NoiseSize,
 ) -> tuple[AppliedEffect, ...]:
-    """Return what is open of each find; `others` are the parts that it may have, which `fitted` estimates, too.
+    """Return the open parts (`InPart`) of each find. `others` are its possible parts with other shapes.
 
-    `linear` is the system without them, `fitted` the estimate with all of them behind its random columns.
+    `linear` is the system without these parts. `fitted` is the estimate with all of them after the random
+    columns.
     """
     start = linear.fixed.shape[1] + linear.random.shape[1]
     first = len(fitted.mean) - fitted.effects
@@ -539,15 +542,15 @@ def left_open(
 
 
 def _follows(covariance: Floats, own: Floats, places: Floats) -> Floats:
-    """Return by how much the amplitudes found change with the other sizes, shape (own, others)."""
+    """Return the regression of the amplitudes found on the other sizes, shape (own, others)."""
     of_others = covariance[np.ix_(places, places)]
     return np.asarray(np.linalg.lstsq(of_others, covariance[np.ix_(places, own)], rcond=ROUNDING)[0].T)
 
 
 def _directions(covariance: Floats, shown: Floats) -> Floats:
-    """Return a square root of a covariance, column by column what changes the readings most, shape (m, k).
+    """Return a square root (m, k) of a covariance, its columns sorted by their effect on the readings.
 
-    `shown` (N, m) is what a unit of each size changes, in units of noise.
+    `shown` (N, m) is the change of the readings by a unit of each size, in units of noise.
     """
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))

@@ -20,7 +20,7 @@ from bench.model.effects.voltmeter import LOW_RANGE_V
 SIZE_NAMES: Final = ("A", "B")
 ALL: Final = (0, 1, 2)
 SLOWEST, FASTEST = 1, 6
-"""Half waves over a run by which something slow in time is described."""
+"""Range of the number of half waves over a run that describe a slow change in time."""
 TIME_CONSTANTS_MIN: Final = (5, 10, 20, 40, 80)
 LAGS_MIN: Final = (0, 5, 10, 20, 30)
 LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
@@ -28,7 +28,7 @@ LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
 
 @dataclass(frozen=True)
 class TermUnit:
-    """What the size of a term is stated in, and how much of it is plausible, SI."""
+    """The unit of the size of a term, and its plausible size in SI."""
 
     text: str
     si: float
@@ -282,7 +282,7 @@ def _constant(name: str, unit: str, si: float, value: float) -> Parameter:
 
 
 def _courses(conditions: Conditions) -> Iterator[TimeCourse]:
-    """Yield the courses that can differ in these readings."""
+    """Yield the courses that can vary over these readings."""
     yield from _of_angle(conditions)
     yield from _of_turns(conditions)
     yield from _of_time(conditions)
@@ -363,7 +363,7 @@ def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
 
 
 def _between(time_s: Floats) -> Floats:
-    """Return times between readings that follow one another."""
+    """Return the times between consecutive readings."""
     ordered = np.unique(time_s)
     return (ordered[1:] + ordered[:-1]) / 2
 

@@ -46,7 +46,7 @@ class SearchSettings:
 
 @dataclass(frozen=True)
 class FormFold:
-    """Readings held out: error (n,) and chi-square as the model was given and with the terms found without them.
+    """A fold of held-out readings: error (n,) and chi-square without and with terms found in the rest.
 
     It is `counted` where the other readings could have shown the terms at all.
     """
@@ -58,13 +58,13 @@ class FormFold:
 
     @property
     def count(self) -> int:
-        """How many rows."""
+        """The number of rows held out."""
         return len(self.before[0])
 
 
 @dataclass(frozen=True)
 class ResidualForm:
-    """What was found in all readings, beside the first `given` columns; `sizes` of each term's columns."""
+    """The terms found in all readings beside the first `given` columns, with the `sizes` of their columns."""
 
     given: int
     found: list[FoundEffect]
@@ -414,7 +414,7 @@ def _places(linear: LinearSystem) -> Iterator[tuple[str, str, Mask]]:
 
 
 UNNAMED: Final = "unnamed_"
-"""How the name of an effect begins that has none yet."""
+"""Prefix of the name of an unnamed effect."""
 LEAST_CLOSED: Final = 0.5
 """A form goes into a model file where it closes so much of the gap on readings held out; settled beforehand."""
 
@@ -455,7 +455,7 @@ class FormTerm:
 
 @dataclass(frozen=True)
 class FreeForm:
-    """What describes that which has no name.
+    """A description of unnamed effects by terms of the dictionary.
 
     `folds` hold readings out and search without them; `dark` is what the readings scatter beyond their repeats
     with the terms: it has no form, and is an uncertainty. `scatter` says where it is larger.
@@ -481,7 +481,7 @@ class FreeForm:
 
     @property
     def after(self) -> float:
-        """The same with the terms that were found without them."""
+        """Reduced chi-square of the counted held-out readings with the terms found without them."""
         return self._reduced([fold.after[1] for fold in self.counted])
 
     @property

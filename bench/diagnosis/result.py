@@ -1,4 +1,4 @@
-"""What is found out about one body of readings; what was settled before they were scored."""
+"""The result of a diagnosis of one body of readings, and the settings registered before its scoring."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from bench.model.effects.formula import FormulaEffect, names_in
 
 @dataclass(frozen=True)
 class Registration:
-    """What was settled; `sha256` is of all of it, the catalogue and the weights of the sizes.
+    """The settings registered before scoring; `sha256` covers them, the catalogue and the size weights.
 
     Priors, threshold, limits of a tie, what is held out (`held_out_else` where that measures nothing), and by how
     much the gap must shrink on it.
@@ -68,7 +68,7 @@ class Registration:
 
 
 def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
-    """Return what is settled for these readings, with its hash."""
+    """Return the registered settings for these readings, with their hash."""
     settled = Registration(
         sha256="",
         unnamed=candidates.UNNAMED,
@@ -176,25 +176,25 @@ class NamedEffect:
 
     @property
     def shape_held(self) -> bool:
-        """Whether each u of the parameters is that with the effect's shape as it was found."""
+        """Whether the u of the parameters holds the effect's shape fixed as found."""
         return any(one.u is None for one in self.parameters)
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All that was found out about one body of readings.
+    """The complete result of the diagnosis of one body of readings.
 
     `of_copy` is the verdict on the copy in which mistakes are put right, where there are any, and the same as
     `verdict` where not. `hidden` are effects that the readings could never show, with their parts where it is true
-    of some; `absent` effects of what the bench has not, with the reason; `unseen_per_turn` how often a turn an
-    error of the head would have to repeat to show nowhere at the angles measured; `detectable` the sizes, in
-    plausible sizes, that are found in half of all runs, `smallest` of effects with several in whatever
-    direction. `linear`, `candidates`, `naming`, `fitted` and `noise` are what plots and report are drawn from;
-    `whitened` and `data` are those in which it was found;
-    `in_part` what the effects may have of other shapes, which is in the coefficients' u, `left_open` what the
-    readings left of it, for a model file; `findings` where noise is
-    larger than stated, `noise_kinds` in what it is no normal noise of one size; `weighed` what
-    readings were weighed down by.
+    of some. `absent` are effects that the bench cannot have, with the reason. `unseen_per_turn` are the
+    periods a turn of head errors that show nowhere at the angles measured. `detectable` are the sizes, in
+    plausible sizes, that are found in half of all runs; `smallest` the same for effects with several sizes,
+    in any direction. Plots and reports use `linear`, `candidates`, `naming`, `fitted` and `noise`.
+    `whitened` and `data` are the products in which the effects were found.
+    `in_part` are the possible parts of the effects with other shapes, included in the coefficients' u.
+    `left_open` are the parts that the readings leave open, for a model file. `findings` are noise larger than
+    stated, `noise_kinds` deviations from normal noise of one size. `weighed` is the correction for heavy
+    tails.
     """
 
     verdict: Verdict
@@ -227,7 +227,7 @@ class Diagnosis:
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:
-        """The named effects with their values, and the terms of what has no name, to be added to the model."""
+        """The named effects with their values, and the terms of unnamed effects, to be added to the model."""
         of_form = self.form.applied if self.form is not None else ()
         return (*(a for e in self.effects for a in e.applied), *of_form)
 
@@ -254,7 +254,7 @@ def _of_temperature(effect: Effect) -> bool:
 
 
 def assumed(linear: LinearSystem) -> Iterator[str]:
-    """Yield sentences on what the readings do not say, or say otherwise than the bench file."""
+    """Yield sentences on facts that the readings do not state, or that contradict the bench file."""
     readings = linear.readings
     yield from (f"not looked for: {trouble}" for trouble in CATALOGUE.troubles)
     if linear.orientation is not None and linear.orientation.contradicts:

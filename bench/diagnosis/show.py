@@ -22,10 +22,10 @@ SEED: Final = 1
 """Seed of the noise of the simulated readings."""
 
 HARDLY_TOLD: Final = 0.5
-"""An effect that is left with more than this part of its weak prior is not told by the settings."""
+"""The settings do not determine an effect whose u exceeds this fraction of its weak prior."""
 
 CONTRADICTED: Final = 4.0
-"""A stated value that readings leave by so many u is not that of their block: chance 6e-5."""
+"""A stated value this many u from the readings is contradicted by them: chance 6e-5."""
 
 MOST_ROUNDS: Final = 30
 STANDS_STILL_G: Final = 1e-12
@@ -62,7 +62,7 @@ class Simulation:
 
     @property
     def tested(self) -> bool:
-        """Whether there are repeats enough to test the readings beside it."""
+        """Whether there are enough repeats to test the fit to the readings."""
         return bool(np.isfinite(self.test.p))
 
     @property
@@ -73,7 +73,7 @@ class Simulation:
 
 @dataclass(frozen=True)
 class CoefficientChange:
-    """A coefficient with its u by the model before and after."""
+    """A coefficient with its u, estimated by the models before and after the diagnosis."""
 
     before: float
     u_before: float
@@ -95,7 +95,7 @@ class ModelComparison:
 
     @property
     def last(self) -> Simulation:
-        """The best there is: the model with what was found, else the one that was given."""
+        """The simulation with the effects found, or with the given model where nothing was named."""
         return self.after or self.before
 
     @property
@@ -132,7 +132,7 @@ def show(
 
 
 def label(applied: AppliedEffect) -> str:
-    """Return an effect with its channels, where it has such: "quadratic_nonlinearity[y]"."""
+    """Return the name of an effect with its channels, if it has any: "quadratic_nonlinearity[y]"."""
     of_channels = any(parameter.per_channel for parameter in applied.effect.parameters)
     return applied.effect.name + (f"[{''.join(applied.channels)}]" if of_channels else "")
 

@@ -1,4 +1,4 @@
-"""One run prepared and searched, linearised at a point near enough."""
+"""The search in one run, linearised again about the effects found until it is accurate enough."""
 
 from __future__ import annotations
 
@@ -43,19 +43,19 @@ CLEAR: Final = 6.0
 HARDLY: Final = 2.0
 """A name that is no further above the threshold must reach it beside slow noise, too."""
 PLAUSIBLE: Final = 1.0
-"""The odds that there is slow noise, beforehand, where something seems to be missing."""
+"""Prior odds of slow noise where something seems to be missing."""
 TOO_LARGE: Final = 0.7
 """Repeats that say more than the noise over this have what was found in them, as a reading that stands apart is."""
 SAME_SIZE: Final = 0.1
-"""Sizes of the channels' noise within such a part of each other are the same."""
+"""Relative difference within which the channels' noise sizes count as the same."""
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """Readings made linear, the candidates in units of the noise, what is needed of the data, the threshold.
+    """Readings prepared for the search: linear system, whitened candidates, data products and threshold.
 
-    `bend` (N,) is what was taken off the response because the readings are not linear in what was found,
-    `weighed` what was because the noise has heavy tails; `slow` is noise that is among what is random.
+    `bend` (N,) is the nonlinear part of the finds, subtracted from the response. `weighed` is the correction
+    for heavy tails of the noise. `slow` is the slow noise among the random columns.
     """
 
     linear: LinearSystem
@@ -264,7 +264,7 @@ def _closer(task: _Task, prepared: Prepared, naming: Naming) -> Naming:
 
 
 def _searched_again(task: _Task, prepared: Prepared) -> tuple[Prepared, Naming]:
-    """Find what is missing, about a point near enough."""
+    """Return the finds, linearised again about them until the system is accurate enough."""
     most = 1
     naming = name(prepared.whitened, prepared.data, prepared.limit, most)
     for _ in range(STEPS):
@@ -293,7 +293,7 @@ def _prepared(
 
 
 def _relinearised(task: _Task, prepared: Prepared, naming: Naming) -> Prepared | None:
-    """Return the readings about what was found; None where they are linear in it as they are."""
+    """Return the readings linearised about the finds; None where they are linear enough already."""
     linear, candidates = prepared.linear, prepared.candidates
     noise = noise_size(prepared.whitened, prepared.data, naming.columns)
     fitted = fit_found(linear, candidates, naming, noise)

@@ -1,4 +1,4 @@
-"""What readings could never show, and how far two explanations of them lie apart."""
+"""Effects that readings could never show, and the separation of two explanations of readings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bench.model.effects import CATALOGUE, AppliedEffect, Parameter
 from bench.readings.table import VERIFICATION
 
 BEYOND_BELIEF: Final = 30.0
-"""An effect that would have to be so many plausible sizes large to be found is hidden."""
+"""An effect that must exceed this many plausible sizes to be found counts as hidden."""
 
 
 def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, float]:
@@ -157,11 +157,11 @@ class EffectPart(NamedTuple):
 
 
 Form = tuple[EffectPart, ...]
-"""A form that an effect may have: the numbers that it has then."""
+"""A form that an effect may have, as the tuple of its parameters."""
 
 
 def form_of(candidates: Candidates, variant: Variant) -> Form:
-    """Return a variant of a candidate, so that it can be looked at in other readings."""
+    """Return the form of a variant, so that it can be tested in other readings."""
     kinds = [candidates.kinds[place] for place in variant.columns]
     return tuple(EffectPart(variant.family, k.parameter, variant.shape, k.mounts, k.channel) for k in kinds)
 
@@ -232,7 +232,7 @@ class ReadingDesign:
         return whiten_rows(self.linear, self._noise, columns, np.ones(len(self.linear), dtype=bool))
 
     def _left(self, columns: Floats) -> Floats:
-        """Return what of columns (N, m) shows beside what is free, units of the noise."""
+        """Return the whitened columns (N, m) with the free columns projected out."""
         white = np.concatenate([self._white(columns), np.zeros((self._priors, columns.shape[1]))])
         left: Floats = white - self._basis @ (self._basis.T @ white)
         return left
@@ -266,7 +266,7 @@ class ReadingDesign:
         return least / 2.0
 
     def visible(self, forms: Sequence[Form]) -> float:
-        """Return how far an effect of plausible size stands out in the form that shows best (rho)."""
+        """Return the signal-to-noise rho of an effect of plausible size in its most visible form."""
         return max((_largest(self.seen(form)) for form in forms), default=0.0)
 
     def cosine(self, one: Form, other: Form) -> float:

@@ -18,7 +18,7 @@ from bench.model.effects.voltmeter import LOW_RANGE_V
 
 SIGNIFICANT: Final = 0.01
 TOLD: Final = 1e-3
-"""A column that the places before leave no more of is theirs."""
+"""A column of which earlier patterns leave at most this fraction is explained by them."""
 MOST_PLACES: Final = 8
 HARMONICS: Final = (
     "constant",
@@ -139,7 +139,7 @@ def _looks(linear: LinearSystem) -> Iterator[_Look]:
 
 
 def _rows(of: Mask) -> Floats:
-    """Return a column (N, 1) with the same in each of these rows."""
+    """Return a column (N, 1) with the same value in each row of the mask."""
     return of[:, None].astype(np.float64)
 
 
@@ -192,7 +192,7 @@ def _over_run(linear: LinearSystem, own: Mask, channel: str) -> Iterator[_Look]:
 MOST_PER_TURN: Final = 72
 """Orders looked at: 72 a turn is a mark every 5 degrees."""
 ALIKE: Final = 0.01
-"""Part of a wave's square that another one may leave and still look the same."""
+"""Fraction of a wave's square that another wave may leave and still count as the same."""
 SAME_ANGLE_DEG: Final = 0.1
 ORDERS: Final = {"head_eccentricity": 1, "head_ellipticity": 2}
 """Effects that are a wave of the head's angle, and how often a turn; of others the shape `harmonic` says it."""
@@ -233,7 +233,7 @@ def _waves(angle_rad: Floats, order: int) -> Floats:
 
 
 def _left(waves: Floats, own: Floats) -> float:
-    """Return the largest part of a wave's square that the others leave."""
+    """Return the largest fraction of a wave's square that the other waves leave."""
     size = np.maximum(np.sum(waves**2, axis=0), 1e-12 * len(waves))
     fitted = own @ np.linalg.lstsq(own, waves, rcond=1e-6)[0]
     return float(np.max(np.sum((waves - fitted) ** 2, axis=0) / size, initial=0.0))

@@ -1,1 +1,1 @@
-"""Many runs: drift of a block, control charts, benches compared, what the runs of a bench tell of it."""
+"""Analyses of many runs: drift of a block, control charts, comparison of benches, sizes of a bench."""

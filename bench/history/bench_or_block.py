@@ -27,15 +27,16 @@ from bench.stats.crossed_effects import (
 )
 
 FLAT: Final = 1e3
-"""A size so many times the scatter is as good as none stated."""
+"""Factor on the scatter: a prior size this large has no influence on the estimates."""
 
 
 @dataclass(frozen=True)
 class Allotment:
-    """Whether units came to benches by chance: `chi2` with `dof`, of differences between benches by two ways.
+    """A Hausman test of whether units were assigned to benches at random: `chi2` with `dof`.
 
-    The first takes differences within units alone, the second the means of all units too; a bench that is given
-    units of another kind is off in the second only. Source: J. A. Hausman, Econometrica 46 (1978) 1251.
+    It compares two estimates of the differences between benches. The first uses differences within units
+    alone, the second also the means of all units; a bench that is given units of another kind biases only the
+    second. Source: J. A. Hausman, Econometrica 46 (1978) 1251.
     """
 
     chi2: float
@@ -43,12 +44,12 @@ class Allotment:
 
     @property
     def p(self) -> float:
-        """The probability of so much where units came by chance."""
+        """The p-value of `chi2` where units were assigned to benches at random."""
         return float(special.chdtrc(self.dof, self.chi2)) if self.dof else 1.0
 
 
 def allotment(found: Crossed) -> Allotment:
-    """Hold the differences between benches within units against those that means of units give as well."""
+    """Return the test of the differences between benches within units against those with means of units."""
     at = found.at
     crossing = at.crossing
     wide = found.sizes.copy()
@@ -65,7 +66,7 @@ def allotment(found: Crossed) -> Allotment:
 
 
 SHOWN_P: Final = 0.05
-"""Something is shown when chance makes as much, in any of the looks, less often than this."""
+"""Level of significance of an effect, with the number of tests taken into account."""
 ALLOTTED_P: Final = 0.01
 LITTLE_SCATTER_P: Final = 0.01
 WELL_KNOWN: Final = 0.15
@@ -75,9 +76,10 @@ ONE_SIDED: Final = 1.645
 
 @dataclass(frozen=True)
 class EstimatedSize:
-    """A size, 1 sigma, its standard uncertainty (NaN where it is zero), and what it is below with 95 %.
+    """An estimated size, 1 sigma, its standard uncertainty (NaN where it is zero), its upper limit of 95 %.
 
-    `p_all_looks` is the probability of so much likelihood gained by chance, over the twelve; NaN where not asked.
+    `p_all_looks` is the p-value of the likelihood ratio, corrected for twelve coefficients; NaN where no test
+    was asked for.
     """
 
     value: float
@@ -87,18 +89,19 @@ class EstimatedSize:
 
     @property
     def shown(self) -> bool:
-        """Whether it is there beyond chance."""
+        """Whether the size is significantly larger than zero."""
         return self.p_all_looks < SHOWN_P
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """What the values of one coefficient differ by: between units of a type, benches, in excess, as stated (rms).
+    """Variance components of one coefficient, 1 sigma: units of a type, benches, excess, stated u (rms).
 
-    `stated` is what a calibration has of its own, `meters` what the same meters bring again: a part of the bench.
-    `allotment` tells whether units came to benches by chance; where not, size and effects of benches, and the
-    excess, are from differences within units alone. `scatter` is the reduced chi-square of repeated calibrations
-    of a unit on a bench against their stated u, with degrees of freedom.
+    `stated` is the part of the stated u that each calibration has of its own, `meters` the part that the same
+    meters bring again: a part of the bench. `allotment` tests whether units were assigned to benches at
+    random; where not, the size and effects of benches, and the excess, are from differences within units
+    alone. `scatter` is the reduced chi-square of repeated calibrations of a unit on a bench against their
+    stated u, with degrees of freedom.
     """
 
     unit: EstimatedSize
@@ -137,10 +140,11 @@ class OutlyingEffect:
 
 @dataclass(frozen=True)
 class BenchOrBlock:
-    """What differs between units, what between benches; effects of benches `effect` and `u` are (B, 12).
+    """The variation between units and between benches; `effect` of each bench and its `u` are (B, 12).
 
-    `connected` are the sets of benches that units join: effects are about the mean of a set. A bench that shares no
-    unit with another has none: NaN. `units_apart` are units that stand out of their type.
+    `connected` are the sets of benches that common units join; an effect is the difference from the mean of
+    the set. The effect of a bench that shares no unit with another is NaN. `units_apart` are the outlying
+    units.
     """
 
     benches: tuple[str, ...]
@@ -157,7 +161,7 @@ class BenchOrBlock:
 
     @property
     def benches_apart(self) -> tuple[OutlyingEffect, ...]:
-        """Benches that stand out of their set, the largest first for its uncertainty."""
+        """Benches whose effect is significant, the largest ratio of effect to uncertainty first."""
         found = [
             OutlyingEffect(
                 self.benches[b], COEFFICIENTS[k], float(self.effect[b, k]), float(self.u[b, k]), float(p)
@@ -169,7 +173,7 @@ class BenchOrBlock:
 
     @property
     def answer(self) -> str:
-        """Whether it is the bench or the block, in a sentence."""
+        """The sentence that says whether the bench or the block causes the differences."""
         if all(len(one) == 1 for one in self.connected):
             return "bench or block cannot be told: no unit was measured on two benches; measure some on each"
         shown = [name for name, s in zip(COEFFICIENTS, self.sizes, strict=True) if s.bench.shown]
@@ -236,7 +240,7 @@ def bench_or_block(measured: ComparedCalibrations) -> BenchOrBlock:
 
 
 def _whole_names(measured: ComparedCalibrations) -> list[str]:
-    """Return unit and type in one: two types may have the same serial number."""
+    """Return labels of type and unit together, since two types may have the same serial number."""
     return [
         unit if unit.startswith(kind) else f"{kind} {unit}"
         for kind, unit in zip(measured.kind.tolist(), measured.unit.tolist(), strict=True)
@@ -265,7 +269,7 @@ class _Column:
 
 
 def _chosen(columns: list[_Column]) -> list[tuple[Crossed, Allotment]]:
-    """Return the fit of each column, with units as fixed where they did not come to benches by chance."""
+    """Return the fit of each column, with units as fixed effects where they were not assigned at random."""
     found = [column.fit() for column in columns]
     allotted = [allotment(one) for one in found]
     p = holm(np.array([one.p for one in allotted]))
@@ -278,7 +282,7 @@ def _chosen(columns: list[_Column]) -> list[tuple[Crossed, Allotment]]:
 def _sizes(
     columns: list[_Column], chosen: list[tuple[Crossed, Allotment]], meters: Floats
 ) -> tuple[Sizes, ...]:
-    """Return the sizes of all columns, with the probabilities of those of benches and of the excess."""
+    """Return the sizes of all columns, with the p-values of the sizes of benches and of the excess."""
     p = {}
     for which in (BENCH, EXCESS):
         gained = [
@@ -374,12 +378,12 @@ def _notes(crossing: Crossing, benches: Labels, sizes: tuple[Sizes, ...]) -> tup
 
 
 LEAST_UNITS: Final = 6
-"""From fewer units a covariance of twelve coefficients is not worth the name."""
+"""The least number of units from which the covariance of twelve coefficients is estimated."""
 CONFLICT_P: Final = 0.01
-"""A prior is not used where it and the readings disagree as chance does less often than this."""
+"""A prior is not used where the p-value of its agreement with the readings is below this level."""
 LEAST_DOF: Final = 4.0
 LEAST_REPEATS: Final = 10
-"""Repeated calibrations from which their own scatter is known."""
+"""The least number of repeated calibrations from which their scatter is estimated."""
 
 
 @dataclass(frozen=True)
@@ -412,7 +416,7 @@ class Prior:
 
 
 def prior_of(measured: ComparedCalibrations) -> Prior:
-    """Return what calibrations of several units of one type tell of a further unit of it.
+    """Return the prior of a further unit from calibrations of several units of its type.
 
     Raises `CalibrationError` for units of several types, or too few of them.
     """
@@ -450,10 +454,10 @@ def prior_of(measured: ComparedCalibrations) -> Prior:
 
 
 def _own(measured: ComparedCalibrations, unit: Ints) -> tuple[Floats, tuple[str, ...]]:
-    """Return the part (n, 12, 12) of stated covariances that each calibration has of its own, and notes.
+    """Return covariances (n, 12, 12) of the errors that are independent between calibrations, and notes.
 
-    It is what repeated calibrations of a unit scatter by, at most what is stated; nothing, where few were
-    repeated: then all the scatter of units is theirs.
+    They are the stated covariances, reduced to the scatter of repeated calibrations of a unit where that is
+    less. With fewer than `LEAST_REPEATS` repeats they are zero: all scatter is then ascribed to the units.
     """
     count = np.bincount(unit)
     dof = int(np.sum(count - 1))
@@ -472,7 +476,7 @@ def _own(measured: ComparedCalibrations, unit: Ints) -> tuple[Floats, tuple[str,
 
 
 def _means(vector: Floats, own: Floats, unit: Ints, count: int) -> tuple[Floats, Floats]:
-    """Return the plain means (m, 12) of units, and what their own errors give them (m, 12, 12)."""
+    """Return unweighted means (m, 12) of units, and their covariances (m, 12, 12) from the errors `own`."""
     many = np.bincount(unit, minlength=count).astype(float)
     means = np.stack([np.bincount(unit, c, count) for c in vector.T], axis=1) / many[:, None]
     flat = own.reshape(len(own), -1)
@@ -481,10 +485,10 @@ def _means(vector: Floats, own: Floats, unit: Ints, count: int) -> tuple[Floats,
 
 
 def _between(means: Floats, of_means: Floats) -> tuple[Floats, Floats, float]:
-    """Return mean (12,), covariance between units (12, 12), and by how much correlations were shrunk.
+    """Return mean (12,), covariance between units (12, 12), and the reduction of the correlations, 0 to 1.
 
-    The total variance of means is known as an estimate of m - 1 degrees of freedom is: its expectation is larger by
-    (m - 1)/(m - 3); what own errors give is taken off it.
+    The total variance of means is an estimate with m - 1 degrees of freedom, so its expectation is larger by
+    the factor (m - 1)/(m - 3). The variance from the errors `of_means` is subtracted from it.
     """
     m = len(means)
     mean = means.mean(axis=0)
@@ -516,10 +520,11 @@ def _positive(matrix: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Joined:
-    """A calibration with a prior: `vector` (12,), `covariance` (12, 12), `part` (12, 12) what the prior counts.
+    """A calibration combined with a prior: `vector` (12,), `covariance` (12, 12), weight `part` of the prior.
 
-    `chi2` for twelve and `p` test whether prior and readings agree; `used` is false where not, and then the
-    calibration stands as it was. `pull` (12,) is readings less prior over its u.
+    `part` is (12, 12). `chi2` with twelve degrees of freedom and `p` test whether prior and readings agree.
+    Where they do not, `used` is false and the calibration is unchanged. `pull` (12,) is (readings - prior)
+    over its u.
     """
 
     vector: Floats
@@ -538,8 +543,9 @@ class Joined:
 def join(calibration: Floats, own: Floats, alike: Floats, prior: Prior, g_m_s2: float) -> Joined:
     """Join a calibration (12,), per local g, and a prior, by generalised least squares.
 
-    `own` (12, 12) is the part of the calibration's covariance that its readings have; `alike` what no reading
-    shows, as gain of a meter: earlier calibrations had it too, and the prior takes nothing off it.
+    `own` (12, 12) is the part of the calibration's covariance that comes from its readings; `alike` is the
+    part that no reading shows, as gain of a meter: earlier calibrations had it too, so the prior does not
+    lower it.
     """
     mean, covariance = prior.per(g_m_s2)
     gap = calibration - mean

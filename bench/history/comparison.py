@@ -1,4 +1,4 @@
-"""Comparison of calibrations of one block: E_n, a joint chi-square, what they have in common."""
+"""Comparison of calibrations of one block: E_n, a joint chi-square, errors that they have in common."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bench.model.geometry import COEFFICIENTS
 from bench.stats import holm
 
 CHANGED_P: Final = 0.05
-"""A coefficient changed when chance alone would show any change so large, in all looks, less often than this."""
+"""Level of significance of a change of a coefficient, for all coefficients and calibrations together."""
 JOINT_P: Final = 0.01
 LEAST_FOR_DRIFT: Final = 3
 LEAST_SPAN: Final = timedelta(days=1)
@@ -32,7 +32,7 @@ SECONDS_PER_YEAR: Final = 365.25 * 86400.0
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A calibration at a time: coefficients `vector` (12,) in unit/g with g = `g_m_s2`, `covariance` (12, 12).
+    """A dated calibration: coefficients `vector` (12,) in unit/g with g = `g_m_s2`, `covariance` (12, 12).
 
     `block` says which block it was (type and serial number), empty where nobody recorded it. `same_meters`
     (12, 12) is the covariance without what cancels where the same meters measure again, None where there is no such
@@ -55,7 +55,7 @@ class Snapshot:
     wander: Floats | None = None
 
     def per(self, g_m_s2: float) -> Snapshot:
-        """Return it with scale factors per another local gravity: the same per m/s^2."""
+        """Return the snapshot with scale factors per another local gravity; per m/s^2 they are the same."""
         factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / self.g_m_s2, 1.0)
         both = np.outer(factor, factor)
         own = None if self.same_meters is None else self.same_meters * both
@@ -75,9 +75,10 @@ class Snapshot:
 
     @property
     def _gone_on(self) -> Floats:
-        """The covariance (12, 12) of the biases at the run's mean from what they were as it began.
+        """The covariance (12, 12) of the change of the biases from the beginning of the run to its mean.
 
-        A random walk with rms s about its mean over a run has a mean that is off its beginning by sqrt(2) s.
+        For a random walk with rms s about its mean over a run, this change has the standard deviation sqrt(2)
+        s.
         """
         between = np.zeros(len(COEFFICIENTS))
         if self.wander is not None:
@@ -85,7 +86,7 @@ class Snapshot:
         return np.diag(between)
 
     def against(self, first: Snapshot) -> Snapshot:
-        """Return it with the covariance that it has beside `first`, which then has its own without the meters.
+        """Return the snapshot with the covariance to compare it with `first.without_meters`.
 
         Gain and offset of meters that are the same cancel on one day, and less the longer they may have drifted:
         after `METERS_DRIFT` they may be anywhere within their limits. Those of other meters, or of ones that nobody
@@ -111,7 +112,7 @@ def _of_block(terms: Floats | None) -> Floats:
 
 @dataclass(frozen=True)
 class Changes:
-    """A later calibration against the first: `difference`, `u`, `en` (12,), each with its own meaning of size.
+    """The changes of a later calibration from the first: `difference`, `u`, `en`, each (12,).
 
     `p_all_looks` (12,) are two-sided probabilities after Holm over all coefficients and calibrations compared;
     `chi2` with twelve degrees of freedom and `p` judge all coefficients together, with their covariances.
@@ -154,9 +155,9 @@ class DriftLines:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All later calibrations against the first, and what they say together.
+    """The comparison of all later calibrations with the first, and tests of all of them together.
 
-    `p_constant` is the probability of so much disagreement among all of them if nothing changed.
+    `p_constant` is the p-value of the hypothesis that no coefficient changed in any of them.
     """
 
     first: Snapshot
@@ -216,7 +217,7 @@ def _changes(first: Snapshot, later: Snapshot, difference: Floats, u: Floats, p:
 
 
 def _require_regular(snapshot: Snapshot) -> None:
-    """Refuse a result in which a coefficient was fixed, or is a sum of others."""
+    """Raise `CalibrationError` for a result in which a coefficient was fixed, or is a sum of others."""
     u = u_of(snapshot.covariance)
     if not np.all(u > 0) or np.linalg.cond(snapshot.covariance / np.outer(u, u)) > MOST_CONDITION:
         raise CalibrationError(
@@ -226,14 +227,14 @@ def _require_regular(snapshot: Snapshot) -> None:
 
 
 def _chi2(difference: Floats, covariance: Floats) -> float:
-    """Quadratic form, on correlations so that coefficients of different units are alike."""
+    """Return the quadratic form, by correlations so that the units of coefficients do not matter."""
     u = u_of(covariance)
     scaled = difference / u
     return float(scaled @ np.linalg.solve(covariance / np.outer(u, u), scaled))
 
 
 def _constant(snapshots: Sequence[Snapshot]) -> float:
-    """Probability of the disagreement about one vector for all (generalised least squares)."""
+    """Return the p-value of the hypothesis of one vector for all calibrations (generalised least squares)."""
     weights = [np.linalg.inv(snapshot.covariance) for snapshot in snapshots]
     mean = np.linalg.solve(sum(weights), sum(w @ s.vector for w, s in zip(weights, snapshots, strict=True)))
     chi2 = sum(_chi2(s.vector - mean, s.covariance) for s in snapshots)
@@ -241,7 +242,7 @@ def _constant(snapshots: Sequence[Snapshot]) -> float:
 
 
 def _drift(snapshots: Sequence[Snapshot], dates: Sequence[datetime]) -> DriftLines:
-    """Straight lines by generalised least squares, all coefficients at once with their covariances."""
+    """Return straight lines by generalised least squares, all coefficients at once with their covariances."""
     seconds = np.sort([date.timestamp() for date in dates])
     years = (seconds - seconds[0]) / SECONDS_PER_YEAR
     count = len(COEFFICIENTS)
@@ -351,9 +352,9 @@ def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
 class Joint:
     """The covariance of all twelve coefficients of n calibrations, in its parts.
 
-    `own` (n, 12, 12) belongs to each alone; `meters` (n, 12, 12) are roots of what meters bring, correlated by
-    `alike` (n, n); `terms` (n, 12, q) are what K2 and K3 of a block bring to all its calibrations; `block` (n,)
-    tells which.
+    `own` (n, 12, 12) is the independent part of each; `meters` (n, 12, 12) are square roots of the
+    covariances due to the meters, correlated by `alike` (n, n); `terms` (n, 12, q) are the contributions of
+    K2 and K3 of a block to all its calibrations; `block` (n,) numbers the blocks.
     """
 
     own: Floats
@@ -377,7 +378,7 @@ class Joint:
 
 
 def joint_of(snapshots: Sequence[Snapshot]) -> Joint:
-    """Return what n calibrations have in common over all twelve coefficients; as `joint_covariances`."""
+    """Return the joint covariance of n calibrations over all twelve coefficients; as `joint_covariances`."""
     size = len(COEFFICIENTS)
     meters = np.array([s.covariance - s.without_meters for s in snapshots])
     level, along = np.linalg.eigh(meters)
@@ -397,7 +398,7 @@ def joint_of(snapshots: Sequence[Snapshot]) -> Joint:
 
 
 def _still_alike(first: Snapshot, other: Snapshot) -> float:
-    """Return the correlation of errors of the meters, by whole days: 1 on one day, 0 for other meters."""
+    """Return the correlation of the meters' errors by whole days: 1 on one day, 0 for other meters."""
     if not first.meters or first.meters != other.meters or first.when is None or other.when is None:
         return 0.0
     apart = abs(_day(first.when) - _day(other.when))

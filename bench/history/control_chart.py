@@ -31,11 +31,11 @@ from bench.stats.control_charts import (
 )
 
 FEW_RUNS = 8
-"""With fewer in the baseline, limits are wide: the page says so."""
+"""With fewer runs in the baseline, limits are wide, and a note says so."""
 
 
 def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
-    """Return why a later run is rejected, a clause for each statistic beyond its limit; nothing where none is."""
+    """Return the reasons to reject a later run, a clause for each statistic beyond its limit."""
     reasons = []
     shewhart, ewma, short = chart.shewhart, chart.ewma, chart.short
     if shewhart.t2[row] > chart.limit_t2:
@@ -61,12 +61,12 @@ def _which(z: Floats, limit: float) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Return names as a sentence has them: "Kxx, Kxy and Kxz"."""
+    """Return names joined for a sentence: "Kxx, Kxy and Kxz"."""
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 def notes_of(chart: ControlChart) -> tuple[str, ...]:
-    """Return what a reader of the chart should know, a sentence each."""
+    """Return notes for the reader of the chart, a sentence each."""
     return (*_on_baseline(chart), *_on_components(chart), *_on_meters(chart), *_on_drift(chart))
 
 
@@ -175,8 +175,7 @@ class CheckRun:
 
 @dataclass(frozen=True)
 class Reference:
-    """A calibration of the check block elsewhere: `value` (12,) with `covariance` (12, 12) of all that is in
-    its u."""
+    """A calibration of the check block elsewhere: `value` (12,) with its full `covariance` (12, 12)."""
 
     name: str
     when: datetime
@@ -186,7 +185,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class KnownDrift:
-    """How the block is known to drift: `per_year` (12,) with standard uncertainties `u` (12,)."""
+    """The known drift of the block: `per_year` (12,) with standard uncertainties `u` (12,)."""
 
     per_year: Floats
     u: Floats
@@ -231,7 +230,7 @@ class ControlChart:
 
     @property
     def in_control(self) -> bool:
-        """Whether the last run is accepted; of a baseline without later runs nothing speaks against it."""
+        """Whether the last run is accepted; true for a baseline without later runs."""
         return not self.verdicts or self.verdicts[-1].accepted
 
     @cached_property
@@ -266,8 +265,8 @@ def control_chart(
 ) -> ControlChart:
     """Judge `later` runs of a check block, in the order of time, by a baseline of others, or by a reference.
 
-    `restarted` is when the bench was mended: the EWMA begins anew then. Raises `CalibrationError` where the
-    baseline is too small for what the limits are to be from.
+    `restarted` is when the bench was repaired: the EWMA begins anew then. Raises `CalibrationError` where the
+    baseline has too few runs to set the limits.
     """
     baseline = tuple(sorted(baseline, key=lambda run: run.when))
     later = tuple(sorted(later, key=lambda run: run.when))
@@ -304,7 +303,7 @@ def control_chart(
 
 
 class _Pooled:
-    """Covariances of runs: those of one design have that of its baseline runs together, which is better known."""
+    """Covariances of runs: all runs of one design have the pooled covariance of its baseline runs."""
 
     def __init__(self, baseline: Sequence[CheckRun], later: Sequence[CheckRun]) -> None:
         self._by_design: dict[str, Floats] = {}
@@ -320,7 +319,7 @@ class _Pooled:
 
 
 class _Lines:
-    """The known drift of the block from a time on, where there is any."""
+    """The known drift of the block, counted from a reference time; zero where none is known."""
 
     def __init__(self, begun: float, drift: KnownDrift | None) -> None:
         self._begun, self._drift = begun, drift
@@ -330,14 +329,14 @@ class _Lines:
         return np.array([(run.when.timestamp() - self._begun) / SECONDS_PER_YEAR for run in runs])
 
     def without(self, runs: Sequence[CheckRun]) -> Floats:
-        """Return values (n, 12) less the drift that is known."""
+        """Return values (n, 12) minus the known drift."""
         values = np.array([run.value for run in runs]).reshape(-1, len(COEFFICIENTS))
         if self._drift is None:
             return values
         return values - self.years(runs)[:, None] * self._drift.per_year
 
     def error(self, runs: Sequence[CheckRun]) -> Floats:
-        """Return what the error of the drift, in units of its u, adds: shape (n, 12, 12)."""
+        """Return the effect of an error of the drift by one u on the values, shape (n, 12, 12)."""
         u = np.zeros(len(COEFFICIENTS)) if self._drift is None else self._drift.u
         return self.years(runs)[:, None, None] * np.diag(u)
 
@@ -385,7 +384,7 @@ class _Judging:
         )
 
     def _other_meters(self, runs: Sequence[CheckRun]) -> Floats:
-        """Return what the limits of meters add where they are not those of the baseline, (n, 12, 12)."""
+        """Return the covariance (n, 12, 12) that the limits of meters other than the baseline's add."""
         known = {run.meters for run in self.baseline}
         parts = []
         for run in runs:
@@ -428,7 +427,7 @@ def _drift(
     pooled: _Pooled,
     design: ChartDesign,
 ) -> DriftSeen | None:
-    """Return the drift that accepted runs show, from the baseline on; of few runs or a short time none."""
+    """Return the drift that accepted runs show, baseline included; none for few runs or a short time."""
     kept = [run for run, p in zip(later, shewhart.p_joint, strict=True) if p >= design.alpha]
     runs = [*baseline, *kept]
     if len(runs) < LEAST_FOR_DRIFT or len({run.meters for run in runs}) > 1:

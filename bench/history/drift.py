@@ -20,29 +20,30 @@ from bench.history.equivalence import ComparedCalibrations
 Dates = NDArray[np.datetime64]
 
 SHOWN_P: Final = 0.05
-"""A rate is shown when chance makes one so large, in any of the twelve, less often than this."""
+"""Level of significance of a rate of drift, for all twelve coefficients together."""
 GRID: Final = 14
 LEAST_SIZE: Final = 0.02
-"""Sizes below this part of their scale are as good as none."""
+"""Sizes below this fraction of their scale count as zero."""
 MOST_SIZE: Final = 30.0
 PRIOR_DOF: Final = 3.0
 PRIOR_WIDTH: Final = (1.0, 4.0)
 """Of the priors of scatter and walk, in their scales: what is left of a walk about a line is a part of it."""
 FORGOTTEN: Final = 12.0
-"""Sizes whose logarithmic density is so far below the greatest do not count."""
+"""Sizes whose logarithmic density is this far below the maximum are left out."""
 LEVEL: Final = 0.95
 PRODUCTS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-"""Of values, and of the two columns of a line, with one another."""
+"""Index pairs of the products of values (0) and the two columns of a line (1, 2)."""
 
 
 @dataclass(frozen=True)
 class UnitDrift:
-    """What n calibrations of one block tell of its drift; arrays are (12,), in the order of `COEFFICIENTS`.
+    """The drift of one block from n calibrations; arrays are (12,), in the order of `COEFFICIENTS`.
 
-    `rate` with `u_rate` per year; `between` the scatter between calibrations beyond their stated u and `walk` the
-    random walk in a year, 1 sigma, as the restricted likelihood has them (0: none is shown), each below its
-    `…_most` with 95 %. `first` and `last` are the dates of the calibrations, `count` their number. `p_all_looks`
-    is the probability of such a rate by chance in any of twelve (Bonferroni). Predictions are made of `states`.
+    `rate` with `u_rate` per year; `between` the scatter between calibrations beyond their stated u and `walk`
+    the random walk in a year, 1 sigma, as the restricted likelihood has them (0: none is shown), each below
+    its `…_most` with 95 %. `first` and `last` are the dates of the calibrations, `count` their number.
+    `p_all_looks` is the p-value of the rate, corrected for twelve coefficients (Bonferroni). Predictions are
+    made from `states`.
     """
 
     rate: Floats
@@ -83,7 +84,7 @@ class UnitDrift:
 
 @dataclass(frozen=True)
 class States:
-    """What is known at the last calibration, for each coefficient and pair of sizes: (12, m) but for the last axes.
+    """The state at the last calibration, for each coefficient and each of m pairs of sizes: (12, m, …).
 
     `weight` sums to 1 over m; `between` and `walk` are variances (per year); `line` (12, m, 2) level and rate with
     `covariance` (12, m, 2, 2); `walked` (12, m) what the walk has come to, `columns` (12, m, 2) that of the
@@ -102,7 +103,7 @@ class States:
 
     @cached_property
     def _foretold(self) -> tuple[Floats, Floats]:
-        """Coefficients, over all sizes, of mean (2, 12) and variance (3, 12) in powers of years from the last.
+        """Polynomials in years since the last calibration, over all sizes: mean (2, 12), variance (3, 12).
 
         At each pair of sizes the mean is a line in time, and its variance a parabola.
         """
@@ -135,7 +136,7 @@ class States:
 
 @dataclass(frozen=True)
 class OfUnit:
-    """The drift of a unit on its benches, with notes on what else may pass for one."""
+    """The drift of a unit on its benches, with notes on other effects that may look like drift."""
 
     unit: str
     signal: str
@@ -162,7 +163,7 @@ def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
 
 
 def day_of(text: str) -> np.datetime64:
-    """Return the day that was asked for. Raises `CalibrationError` for a text that is none."""
+    """Return the day that a text states. Raises `CalibrationError` for a text that is no date."""
     try:
         return np.datetime64(text, "s")
     except ValueError:
@@ -170,11 +171,12 @@ def day_of(text: str) -> np.datetime64:
 
 
 def unit_drift(when: Dates, vector: Floats, covariance: Floats, common: Floats | None = None) -> UnitDrift:
-    """Return what calibrations `vector` (n, 12) of one block, at `when` (n,) in any order, tell of its drift.
+    """Return the drift of one block from calibrations `vector` (n, 12) at `when` (n,), in any order.
 
-    `covariance` (n, 12, 12) are their stated ones. `common` (12,) are standard uncertainties, as part of the stated
-    ones, of what is alike in all of them, as the gain of the same meters: it moves no rate, and no number of
-    calibrations makes it smaller. Raises `CalibrationError` for fewer than three calibrations, or all of one day.
+    `covariance` (n, 12, 12) are the stated covariances. `common` (12,) are the standard uncertainties of
+    errors that all calibrations share, such as the gain of the same meters; they are a part of the stated
+    ones. Common errors change no rate, and further calibrations do not lower them. Raises `CalibrationError`
+    for fewer than three calibrations, or all of one day.
     """
     return history_drift(when, vector, np.diagonal(covariance, axis1=1, axis2=2), common)
 
@@ -213,14 +215,14 @@ class _History:
 
     @cached_property
     def _scales(self) -> tuple[Floats, Floats]:
-        """Scales (12,) of scatter, and of the walk in the root of a year."""
+        """Return the scales (12,) of the scatter, and of the random walk per root year."""
         line = np.stack([np.ones_like(self.years), self.years], axis=1)
         left = self.y - line @ np.linalg.lstsq(line, self.y, rcond=None)[0]
         scatter = np.sqrt(np.median(self.own, axis=0) + np.sum(left**2, axis=0) / (len(self.y) - 2))
         return scatter, scatter / np.sqrt(self.years[-1] / (len(self.y) - 1))
 
     def known(self) -> tuple[States, tuple[Floats, Floats, Floats, Floats]]:
-        """Return the states, and REML and upper limit of scatter and walk, (12,) each."""
+        """Return the states, and the REML estimates and upper limits of scatter and walk, (12,) each."""
         lowest = np.full((2, self.y.shape[1]), np.log(LEAST_SIZE))
         highest = np.full_like(lowest, np.log(MOST_SIZE))
         for _ in range(2):
@@ -297,7 +299,7 @@ class _History:
 
 
 def _within(nodes: Floats, density: Floats) -> tuple[Floats, Floats]:
-    """Return the ends (2, 12) of the nodes that count, and a node more to each side."""
+    """Return the ends (2, 12) of the nodes that count, widened by one node to each side."""
     top = density.max(axis=(1, 2), keepdims=True)
     counts = density > top - FORGOTTEN
     ends: list[Floats] = []
@@ -311,25 +313,26 @@ def _within(nodes: Floats, density: Floats) -> tuple[Floats, Floats]:
 
 
 def _taken(values: Floats, index: Ints) -> Floats:
-    """Return one of each row of values (12, g)."""
+    """Return from each row of values (12, g) the one at its index (12,)."""
     return np.take_along_axis(values, index[:, None], axis=1)[:, 0]
 
 
 DIRECTIONS: Final[Floats] = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
-"""Of specific force, shape (26, 3), not of length one."""
+"""Directions of the specific force, shape (26, 3), not of unit length."""
 MOST_YEARS: Final = 20.0
-"""A history does not foretell further."""
+"""The longest time over which a history is extrapolated, years."""
 STEPS: Final = (92, 7, 1)
-"""Days between looks for the day that is due, each within the one before."""
+"""Step sizes of the search for the due date, days; each search refines the one before."""
 DAY: Final = np.timedelta64(1, "D")
 
 
 @dataclass(frozen=True)
 class Due:
-    """When a block is due: `date`, by `basis`, "drift" or "interval", with `why`.
+    """The date when a block is due: `date`, by `basis`, "drift" or "interval", with the reason `why`.
 
-    `predicted_g` is the expanded error expected on that day, `now_g` on the day of the last calibration, in local
-    g, None where only the interval speaks; `count` the calibrations that told it, `last` the day of the last.
+    `predicted_g` is the expanded error expected on that day, `now_g` on the day of the last calibration, in
+    local g; both are None where only the interval decides. `count` is the number of calibrations, `last` the
+    last day.
     """
 
     date: np.datetime64
@@ -355,10 +358,10 @@ def due(
 ) -> Due:
     """Return when a block is due again that was calibrated at `when` (n,) with `vector` (n, 12) per one g.
 
-    `covariance` (n, 12, 12) are the stated ones; `u_meters` (n, 12) is the part of u that the same meters bring
-    again, None where other meters read. `limit_g` is the error allowed, in g, at 1 g in any direction.
-    `interval_days` counts where there is no history to speak of, and is said to. Raises `CalibrationError` where
-    there is no calibration, or the last has a K without inverse.
+    `covariance` (n, 12, 12) are the stated ones; `u_meters` (n, 12) is the part of u that the same meters
+    bring again, None where other meters read. `limit_g` is the error allowed, in g, at 1 g in any direction.
+    `interval_days` is used where the history is too short, and `why` then says so. Raises `CalibrationError`
+    where there is no calibration, or the last has a K without inverse.
     """
     if len(when) == 0:
         raise CalibrationError("no calibration with a date tells when it is due")
@@ -416,6 +419,6 @@ def sensitivities(vector: Floats) -> Floats:
 
 
 def _expanded(drift: UnitDrift, days: Dates) -> Floats:
-    """Return |mean| + k u of the worst direction on each day, g."""
+    """Return the expanded error |mean| + k u of the worst direction on each day, g."""
     mean, u = drift.predicted(days)
     return np.asarray(np.max(np.abs(mean) + COVERAGE_FACTOR * u, axis=-1))

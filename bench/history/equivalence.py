@@ -21,7 +21,7 @@ from bench.stats.crossed_effects import Crossing
 from bench.stats.unit_histories import CalibrationSpread, Histories, Within, histories, spread_of
 
 STANDARD_GRAVITY: Final = 9.80665
-"""Scale factors of several places are compared per g of so many m/s^2."""
+"""The g, m/s^2, per which scale factors from several places are compared."""
 
 LEAST_OWN: Final = 1e-3
 """Of a stated variance at least this part is taken as a calibration's own."""
@@ -29,12 +29,12 @@ LEAST_OWN: Final = 1e-3
 
 @dataclass(frozen=True)
 class ComparedCalibrations:
-    """n calibrations: which `unit` of which `kind` (n,) on which `bench` (n,), and `when` (n,).
+    """A table of n calibrations: `unit` and its type `kind`, `bench` and `when`, each (n,).
 
     `vector` (n, 12) in `signal`/g with g = `STANDARD_GRAVITY`, biases in `signal`, `covariance` (n, 12, 12) as
     stated; `meters` (n, 12) is the part of u that the same meters bring to each of their calibrations (zero where
-    nobody stated one); `simulated` tells that all were found on simulated instruments. Raises `CalibrationError`
-    where nothing is left of them.
+    nobody stated one); `simulated` is true where all were found on simulated instruments. Raises
+    `CalibrationError` for an empty table.
     """
 
     unit: Labels
@@ -48,7 +48,7 @@ class ComparedCalibrations:
     simulated: bool
 
     def __post_init__(self) -> None:
-        """Refuse an empty table."""
+        """Raise `CalibrationError` for an empty table."""
         if not len(self.unit):
             raise CalibrationError("no calibration with a unit, a bench and all twelve coefficients is left")
 
@@ -57,7 +57,7 @@ class ComparedCalibrations:
         return len(self.unit)
 
     def of(self, kept: Mask | Ints) -> ComparedCalibrations:
-        """Return some of them."""
+        """Return the table of the calibrations `kept`."""
         return ComparedCalibrations(
             self.unit[kept], self.kind[kept], self.bench[kept], self.when[kept], self.vector[kept],
             self.covariance[kept], self.meters[kept], self.signal, self.simulated,
@@ -75,20 +75,20 @@ class ComparedCalibrations:
 
 
 def to_standard_gravity(g_m_s2: Floats) -> Floats:
-    """Return what coefficients found where g is `g_m_s2` (n,) are to be multiplied by, (n, 12)."""
+    """Return the factors (n, 12) from coefficients per local g, `g_m_s2` (n,), to standard gravity."""
     factor = np.ones((len(g_m_s2), len(COEFFICIENTS)))
     factor[:, :9] = (STANDARD_GRAVITY / g_m_s2)[:, None]
     return factor
 
 
 def coded(labels: Sequence[str] | Labels) -> tuple[Labels, Ints]:
-    """Return the different labels, sorted, and which of them each is, counted from 0."""
+    """Return the distinct labels, sorted, and for each label its index among them, from 0."""
     names, codes = np.unique(np.asarray(labels, dtype=str), return_inverse=True)
     return names, codes.astype(np.int64)
 
 
 CONSISTENT_P: Final = 0.05
-"""Values agree with their stated uncertainties where chance gives as much disagreement at least this often."""
+"""Values are consistent with their stated uncertainties where the p-value is at least this."""
 WEIGHTED_MEAN: Final = "weighted mean"
 MANDEL_PAULE: Final = "Mandel-Paule"
 DERSIMONIAN_LAIRD: Final = "DerSimonian-Laird"
@@ -106,16 +106,16 @@ class Participants:
 
     @cached_property
     def Z_unit(self) -> Floats:  # noqa: N802 - the symbol of the field
-        """One column a unit, (n, U)."""
+        """The indicator matrix of units, one column for each, (n, U)."""
         return np.eye(int(self.unit.max()) + 1)[self.unit]
 
     @cached_property
     def Z_bench(self) -> Floats:  # noqa: N802
-        """One column a bench, (n, B)."""
+        """The indicator matrix of benches, one column for each, (n, B)."""
         return np.eye(int(self.bench.max()) + 1)[self.bench]
 
     def with_dark(self, dark: float) -> Floats:
-        """Return the covariance (n, n) where each bench has an error of size `dark` more."""
+        """Return the covariance (n, n) with an additional error of size `dark` for each bench."""
         return self.covariance + dark**2 * (self.Z_bench @ self.Z_bench.T)
 
     @cached_property
@@ -125,13 +125,13 @@ class Participants:
         return int(both) - int(self.unit.max()) - 1
 
     def between(self, dark: float) -> Floats:
-        """Return the matrix (n, n) of the quadratic form that measures what benches differ by."""
+        """Return the matrix (n, n) of the quadratic form of the differences between benches."""
         V = self.with_dark(dark)
         return _left(V, self.Z_unit) - _left(V, np.concatenate([self.Z_unit, self.Z_bench], axis=1))
 
 
 def _left(V: Floats, X: Floats) -> Floats:
-    """Return V^-1 less its part along the columns X (n, p), which may depend on one another."""
+    """Return V^-1 minus its part along the columns of X (n, p), which may be linearly dependent."""
     lower = linalg.cholesky(V, lower=True)
     whitened = linalg.solve_triangular(lower, X, lower=True)
     along, size, _ = np.linalg.svd(whitened, full_matrices=False)
@@ -142,12 +142,12 @@ def _left(V: Floats, X: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Equivalence:
-    """The reference value of each unit, and what each bench is off by.
+    """The reference value of each unit, and the degree of equivalence of each bench.
 
     `reference` (U,) with `u_reference`; `degree` (B,) of equivalence d with `covariance` (B, B), each
     with its own claim taken at its word, and `dark` the size of what the others may be off by more.
     `chi2` with `dof` tests the stated uncertainties; `birge` is the root of the reduced chi-square. `map` (B, n)
-    makes the degrees of equivalence of the values.
+    maps the values to the degrees of equivalence.
     """
 
     method: str
@@ -162,7 +162,7 @@ class Equivalence:
 
     @property
     def p(self) -> float:
-        """The probability of so much disagreement where stated uncertainties are right."""
+        """The p-value of `chi2` where the stated uncertainties are right."""
         return float(special.chdtrc(self.dof, self.chi2))
 
     @property
@@ -189,8 +189,8 @@ class Equivalence:
 def equivalence(of: Participants, method: str | None = None) -> Equivalence:
     """Return reference values and degrees of equivalence by a method, or by Cox's choice where none is named.
 
-    That is the weighted mean where the stated uncertainties pass the test, Mandel-Paule where not. Raises
-    `CalibrationError` where no unit was measured on two benches.
+    Cox's choice is the weighted mean where the stated uncertainties pass the chi-square test, else
+    Mandel-Paule. Raises `CalibrationError` where no unit was measured on two benches.
     """
     if not of.between_dof:
         raise CalibrationError(
@@ -204,7 +204,7 @@ def equivalence(of: Participants, method: str | None = None) -> Equivalence:
 
 
 def mandel_paule(of: Participants) -> float:
-    """Return the dark size at which what benches differ by is as large as its degrees of freedom; 0 for less."""
+    """Return the dark size at which chi-square between benches equals its degrees of freedom; 0 for less."""
 
     def gap(variance: float) -> float:
         return float(of.y @ of.between(np.sqrt(variance)) @ of.y) - of.between_dof
@@ -218,7 +218,7 @@ def mandel_paule(of: Participants) -> float:
 
 
 def dersimonian_laird(of: Participants) -> float:
-    """Return the dark size by the moments of what benches differ by; 0 where it is less than expected."""
+    """Return the dark size by the method of moments; 0 where benches differ by less than expected."""
     form = of.between(0.0)
     per_variance = float(np.sum((form @ of.Z_bench) * of.Z_bench))
     return float(np.sqrt(max(0.0, (float(of.y @ form @ of.y) - of.between_dof) / per_variance)))
@@ -252,9 +252,9 @@ def _by(of: Participants, dark: float, method: str) -> Equivalence:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two benches on the `units` that both measured: the first less the second, with u, and E_n (k = 2).
+    """The difference of two benches, first minus second, on the `units` of both; with u and E_n (k = 2).
 
-    `map` (n,) makes the difference of the values.
+    `map` (n,) maps the values to the difference.
     """
 
     first: int
@@ -271,7 +271,7 @@ class Pair:
 
 
 def pairs(of: Participants) -> tuple[Pair, ...]:
-    """Hold every two benches against each other on the units that both measured, and on nothing else."""
+    """Return the comparison of every two benches, from the units alone that both measured."""
     found = []
     benches = int(of.bench.max()) + 1
     seen = [set(of.unit[of.bench == b].tolist()) for b in range(benches)]
@@ -300,12 +300,12 @@ def of_one_unit(x: Sequence[float] | Floats, u: Sequence[float] | Floats) -> Par
 
 
 APART_P: Final = 0.05
-"""Benches are apart where chance gives any so large a difference less often than this."""
+"""Level of significance of a difference between benches, for all differences together."""
 
 
 @dataclass(frozen=True)
 class JointDifference:
-    """A vector of differences: `chi2` with `dof`; `p` of it alone, and of the largest of all looked at."""
+    """A chi-square test of a vector of differences: `chi2` with `dof`, `p` alone and over all tests."""
 
     chi2: float
     dof: int
@@ -321,11 +321,11 @@ class JointDifference:
 def together(
     differences: Floats, u: Floats, errors: Floats, of_errors: Floats
 ) -> tuple[JointDifference, ...]:
-    """Judge m vectors of differences (m, 12) with standard uncertainties `u` (m, 12).
+    """Return the tests of m vectors of differences (m, 12) with standard uncertainties `u` (m, 12).
 
-    `errors` (m, 12, 12) are covariances of the errors of calibrations, which tell how coefficients are correlated;
-    `of_errors` (m, 12) is the part of u that they make. What u has beyond, such as a dark size, belongs to each
-    coefficient alone.
+    `errors` (m, 12, 12) are covariances of the errors of calibrations, which give the correlations of
+    coefficients; `of_errors` (m, 12) is the part of u due to these errors. The rest of u, such as a dark
+    size, is uncorrelated between coefficients.
     """
     chi2 = []
     for d, whole, covariance, own in zip(differences, u, errors, of_errors, strict=True):
@@ -341,7 +341,7 @@ def together(
 
 @dataclass(frozen=True)
 class BenchComparison:
-    """Benches against one another, for each of the twelve coefficients.
+    """The comparison of benches with one another, for each of the twelve coefficients.
 
     `benches` and `units` are those that take part; `alone` are benches that share no unit with another. `together`
     judges the degrees of equivalence of each bench in all twelve at once, `pairs_together` the pairs.
@@ -374,10 +374,10 @@ class BenchComparison:
 def compare_benches(
     measured: ComparedCalibrations, there: Sequence[Snapshot], method: str | None = None
 ) -> BenchComparison:
-    """Hold benches against one another by calibrations of common units, `there` what was found in each.
+    """Return the comparison of benches by calibrations of common units; `there` are their snapshots.
 
-    The snapshots are per g of `STANDARD_GRAVITY`; they know what calibrations have in common (meters, K2 and K3 of
-    a block). Raises `CalibrationError` where nothing joins the benches.
+    The snapshots are per g of `STANDARD_GRAVITY`. They supply the errors that calibrations have in common
+    (meters, K2 and K3 of a block). Raises `CalibrationError` where nothing joins the benches.
     """
     covariances, joint = joint_covariances(there), joint_of(there)
     (units, unit), (benches, bench) = coded(measured.unit), coded(measured.bench)
@@ -407,7 +407,7 @@ def compare_benches(
 def _benches_together(
     taking: Sequence[Participants], found: Sequence[Equivalence], joint: Joint
 ) -> tuple[JointDifference, ...]:
-    """Judge the degrees of equivalence of each bench, in all coefficients."""
+    """Return the tests of the degrees of equivalence of each bench, in all coefficients."""
     degrees = np.stack([one.degree for one in found], axis=1)
     u = np.stack([one.u_degree for one in found], axis=1)
     maps = np.stack([one.map for one in found], axis=1)
@@ -418,7 +418,7 @@ def _benches_together(
 
 
 def _pairs_together(by_coefficient: Sequence[Sequence[Pair]], joint: Joint) -> tuple[JointDifference, ...]:
-    """Judge what the benches of each pair differ by, in all coefficients."""
+    """Return the tests of the difference of each pair of benches, in all coefficients."""
     each = list(zip(*by_coefficient, strict=True))
     u = np.array([[pair.u for pair in one] for one in each])
     errors = np.array([joint.of_sums(np.array([pair.map for pair in one])) for one in each])
@@ -426,14 +426,14 @@ def _pairs_together(by_coefficient: Sequence[Sequence[Pair]], joint: Joint) -> t
 
 
 EVERYDAY: Final = 0.5
-"""The share of everyday calibrations that reach what is stated."""
+"""The fraction of everyday calibrations that reach the stated capability."""
 CONFIDENCE: Final = 0.95
 LEAST_CALIBRATIONS: Final = 20
 LEAST_REPEATS: Final = 10
 """With so many degrees of freedom a standard deviation is known to 22 %."""
 LEAST_DAYS: Final = 180
 LEAST_RUNS: Final = 3
-"""Of a unit; fewer tell nothing of its drift."""
+"""The least number of calibrations of a unit from which its drift is estimated."""
 YEAR: Final = np.timedelta64(31_557_600, "s")
 
 
@@ -441,9 +441,9 @@ YEAR: Final = np.timedelta64(31_557_600, "s")
 class Capability:
     """The capability, (12,) each: `stated` u at the share `quantile` with its limit `stated_most` of 95 %.
 
-    `spreads` (12 items) has the scatter of calibrations of a unit in excess of what is stated, what benches differ
-    by and what units drift by. `below` counts calibrations whose stated U is below the capability: their
-    certificates are to state the latter.
+    `spreads` (12 items) holds the scatter of calibrations of a unit in excess of the stated u, the
+    differences of benches and the drift of units. `below` counts calibrations whose stated U is below the
+    capability: their certificates are to state the capability.
     """
 
     quantile: float
@@ -458,12 +458,12 @@ class Capability:
 
     @property
     def scatter(self) -> Floats:
-        """Scatter in excess of what is stated, 1 sigma, (12,)."""
+        """Scatter in excess of the stated uncertainty, 1 sigma, (12,)."""
         return np.array([one.scatter for one in self.spreads])
 
     @property
     def bench(self) -> Floats:
-        """What benches differ by, 1 sigma, (12,); NaN where there is one bench."""
+        """Standard deviation between benches, (12,); NaN where there is one bench."""
         return np.array([one.bench for one in self.spreads])
 
     @property
@@ -538,7 +538,7 @@ def _notes(found: tuple[CalibrationSpread, ...], of: Histories, *, several: bool
 
 
 def _ranks(count: int, quantile: float) -> tuple[int, int]:
-    """Return the places, in rising order, of a quantile and of its upper limit of 95 %."""
+    """Return the ranks, in rising order, of a quantile and of its upper limit of 95 %."""
     place = min(count - 1, int(np.ceil(quantile * count)) - 1)
     limit = int(stats.binom.ppf(CONFIDENCE, count, quantile))
     return max(place, 0), min(limit, count - 1)

@@ -14,11 +14,11 @@ from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints
 from bench.calibration.noise import KnownStand
 
 NONE: Final = 1e-6
-"""A variance that is no larger part of what was stated is none."""
+"""A variance below this fraction of the stated one counts as zero."""
 FEW_DOF: Final = 4.0
-"""With no more degrees of freedom a size is told by its upper end alone."""
+"""With at most so many degrees of freedom only the upper limit of a size is meaningful."""
 SHOWN_P: Final = 0.01
-"""A wave of the head is taken for one where chance alone makes as large a one less often."""
+"""Level of significance of a wave (harmonic) of the head."""
 HARDLY_BETTER: Final = 0.95
 WAVE_NAMES: Final = (
     "head_eccentricity.cosine", "head_eccentricity.sine", "head_ellipticity.cosine", "head_ellipticity.sine",
@@ -90,19 +90,20 @@ class Contradiction:
 
     @property
     def sentence(self) -> str:
-        """Say it in words."""
+        """The contradiction in a sentence."""
         return f"{self.run} contradicts the others: {self.what} is {self.size:.3g} times what they lead to expect"
 
 
 @dataclass(frozen=True)
 class Learned:
-    """What runs of one bench share.
+    """The errors that runs of one bench share, as learned from these runs.
 
-    `means` (m + waves,) rad by `keys` (name of the angle, installation or empty), then the waves of the head, with
-    `covariance`; `stated` (m,) their u before, rad. `variances` are those of remounts by kind, then of the drift by
-    channel (unit of the signal, per root hour), with `variances_covariance` (k, k) of their squares. `noise`
-    (4,) are the sizes of x, y, z and of the setting (rad). `known` is what a further calibration takes of it.
-    `meters` are the differences of the voltmeters, or a sentence on why they are not told.
+    `means` (m + waves,) rad by `keys` (name of the angle, installation or empty), then the waves of the head,
+    with `covariance`; `stated` (m,) their u before, rad. `variances` are those of remounts by kind, then of
+    the drift by channel (unit of the signal, per root hour), with `variances_covariance` (k, k) of their
+    squares. `noise` (4,) are the sizes of x, y, z and of the setting (rad). `known` is the part that a
+    further calibration uses. `meters` are the differences of the voltmeters, or a sentence on why they are
+    not told.
     """
 
     runs: tuple[str, ...]
@@ -163,7 +164,7 @@ class Learned:
         return found
 
     def not_identified(self) -> list[str]:
-        """Return sentences on what these runs do not tell, and why."""
+        """Return sentences on the quantities that these runs do not determine, and why."""
         told = [
             f"{name}.remount: {why}; it keeps its prior, a part of the stated limit that nobody knows"
             for name, why in self.not_told.items()
@@ -179,7 +180,7 @@ class Learned:
 
 
 def _u(size: float, dof: float) -> float:
-    """Return u of a standard deviation; with few degrees of freedom how far its upper end is."""
+    """Return u of a standard deviation; with few degrees of freedom the distance to its upper limit."""
     if dof > FEW_DOF:
         return float(size / np.sqrt(2.0 * (dof - 2.0)))
     return float(size * (np.sqrt(1.0 + np.sqrt(2.0 / max(dof, 1e-30))) - 1.0))
@@ -259,14 +260,14 @@ class Contrasts:
     between: float
 
     def difference(self, a: int, b: int) -> tuple[float, float]:
-        """Return that of meter `a` less meter `b`, with its standard uncertainty."""
+        """Return the difference of meter `a` minus meter `b`, with its standard uncertainty."""
         c = self.covariance
         return float(self.values[a] - self.values[b]), float(np.sqrt(c[a, a] + c[b, b] - 2.0 * c[a, b]))
 
 
 @dataclass(frozen=True)
 class MeterDifferences:
-    """What runs tell of how the meters differ, about day `day`; meters of different `group` (M,) are not compared.
+    """Differences of the meters about day `day`; meters of different `group` (M,) are not compared.
 
     `used` says how often each meter read which channel.
     """
@@ -316,7 +317,7 @@ class MeterDifferences:
 
 
 def meter_differences(runs: Sequence[MeterRun]) -> MeterDifferences | str:
-    """Return what runs tell of the differences between their meters, or a sentence on why they tell nothing."""
+    """Return the differences between the meters of runs, or a sentence on why they cannot be determined."""
     kept = exchanged([(run.unit, run.meters) for run in runs])
     if not kept:
         alone = bool(runs) and all(len(set(run.meters)) == 1 for run in runs)
@@ -367,7 +368,7 @@ def _stacked(runs: Sequence[MeterRun], day: float, quantity: int, scale: Floats)
 
 
 def _moved(runs: Sequence[MeterRun], day: float, quantity: int) -> Floats:
-    """Return the covariance (N, N) of how far each meter was from what it was on a day.
+    """Return the covariance (N, N) of the drift of each meter from its state on a day.
 
     As far as its limits in proportion to the time, on a way that nobody knows: steps apart in time are independent.
     """
@@ -380,7 +381,7 @@ def _moved(runs: Sequence[MeterRun], day: float, quantity: int) -> Floats:
 
 @dataclass(frozen=True)
 class _Design:
-    """Which meter read which channel of which unit: N readings, one of each channel in each run.
+    """The design of the meter comparison: N readings by meter and unit, one of each channel in each run.
 
     `cell` (N,) numbers unit and channel, `meter_of` (N,) the meter; meters of one `group` (M,) are compared.
     """
@@ -409,7 +410,7 @@ class _Design:
 
     @property
     def contrasts(self) -> Floats:
-        """What of M meters is told, orthonormal (M, k): no group's mean."""
+        """Orthonormal contrasts (M, k) of M meters that can be determined; the mean of a group cannot."""
         kept = np.eye(len(self.meters))
         for number in np.unique(self.group):
             own = (self.group == number).astype(np.float64)

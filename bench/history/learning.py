@@ -1,4 +1,4 @@
-"""What the runs of one bench share: variances by restricted likelihood, contradicting runs, sizes."""
+"""Errors that the runs of one bench share: variances by restricted likelihood, contradicting runs, sizes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ MOST_CHANGE: Final = 5.0
 
 @dataclass(frozen=True)
 class Beliefs:
-    """What was stated before: prior precision (m,) of the means in stated units, and about variances.
+    """Prior beliefs: precision (m,) of the means in stated units, and about variances.
 
     `centre` (k,) and `spread` (k,) are those of a variance that keeps its prior, NaN for one that the runs tell.
     """
@@ -79,7 +79,7 @@ class Weighed:
 
     @classmethod
     def of(cls, body: RunSums, theta: Floats, means: int) -> Weighed:
-        """Weigh for variances (k,)."""
+        """Return the weighed sums for variances (k,)."""
         c = body.columns
         gram = body.by_mean(means)
         root = np.sqrt(np.append(theta, 0.0)[body.random])
@@ -180,9 +180,9 @@ def observed_information(body: RunSums, theta: Floats, beliefs: Beliefs) -> Floa
 
 
 NAMED_P: Final = 0.01
-"""A run is named where chance alone would name any run of so many less often than this."""
+"""Level of significance of a contradicting run, for all runs together."""
 LOOKED_AT_P: Final = 0.1
-"""Variances are estimated anew without a run only where it is that odd by those of all."""
+"""Variances are estimated anew without a run only where its p-value by all runs is below this."""
 MOST_PART: Final = 1 / 3
 """No more of the runs are left out: where more contradict, it is the bench that is not one."""
 ANGLES: Final = "its angles of the stand"
@@ -218,7 +218,7 @@ def _angles(body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradictio
 def _angle_test(
     body: RunSums, r: int, theta: Floats, means: Floats, covariance: Floats
 ) -> tuple[float, float]:
-    """Return chi-square over its freedom, and p, of what a run tells of its angles by what the others predict."""
+    """Return reduced chi-square and p of the angles that a run shows against the prediction of the others."""
     c = body.columns
     own = np.flatnonzero(body.mean[r] >= 0)
     by_means = body.by_mean(len(means) - body.waves)[r][own, c:-1]
@@ -237,7 +237,7 @@ def _angle_test(
 
 
 def _fit(body: RunSums, means: Floats) -> list[Contradiction]:
-    """Return how much each run leaves beyond its repeats, by the others, the head's waves taken off."""
+    """Return the test of the lack of fit of each run against the others, the head's waves subtracted."""
     waves = means[len(means) - body.waves :]
     c = body.columns
     H = slice(c, c + body.waves)
@@ -334,7 +334,7 @@ def learn(
     by_installation: bool = False,
     waves: bool = True,
 ) -> Learned:
-    """Return what runs of one bench share. `stand_u` are the stated u of the stand's angles, rad.
+    """Return the errors that runs of one bench share. `stand_u` are the stated u of the stand's angles, rad.
 
     With `by_installation` each installation has mean angles of its own, as where each has a bracket; else the
     mean is the stand's. `waves` looks for the head's eccentricity and ellipticity. Raises `CalibrationError`
@@ -378,7 +378,7 @@ def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs,
 
 
 def _holding(beliefs: Beliefs, layout: Layout, j: int) -> Beliefs:
-    """Return the beliefs with the variance of a kind held, and its mean what is left of the stated size."""
+    """Return the beliefs with the variance of a kind held, and the rest of the stated size in its mean."""
     centre, spread = beliefs.centre.copy(), beliefs.spread.copy()
     centre[j], spread[j] = HELD_CENTRE, HELD_SPREAD
     own = np.array([name == layout.kinds[j] for name, _ in layout.means])

@@ -27,7 +27,7 @@ WAVES: Final = 2
 WALKS: Final = 4
 """Shapes of a random walk that are kept: those left out have 5 % of its variance."""
 LEAST_SETTINGS: Final = 4
-"""Repeats of settings below which a run tells nothing of the noise."""
+"""The least number of repeated settings from which a run's noise is estimated."""
 
 
 @dataclass(frozen=True)
@@ -167,11 +167,11 @@ class RunSums:
 
     @cached_property
     def _kept(self) -> dict[tuple[str, int], Floats]:
-        """Results of these sums that are asked for again and again."""
+        """A cache of results of these sums that are used repeatedly."""
         return {}
 
     def without(self, left_out: Sequence[int]) -> RunSums:
-        """Return the body of all other runs."""
+        """Return the sums of all other runs."""
         kept = [i for i in range(len(self.names)) if i not in set(left_out)]
         return RunSums(
             tuple(self.names[i] for i in kept), self.gram[kept], self.random[kept], self.mean[kept], self.waves,
@@ -263,7 +263,7 @@ def _sums(
 
 
 def _span(columns: Floats) -> Floats:
-    """Return an orthonormal basis of what columns (N, p) span."""
+    """Return an orthonormal basis of the space that columns (N, p) span."""
     length = np.linalg.norm(columns, axis=0)
     left, size, _ = np.linalg.svd(columns / np.where(length > 0, length, 1.0), full_matrices=False)
     return np.asarray(left[:, size > 1e-9 * size[0]])

@@ -37,7 +37,7 @@ class StaticRecord:
 
     @property
     def duration_s(self) -> float:
-        """Time over which it was taken, s."""
+        """Duration of the record, s."""
         return self.interval_s * len(self.signal)
 
     @property
@@ -127,7 +127,7 @@ def from_columns(source: str, unit: str, time_s: Floats, signal: Floats) -> Stat
 def _row(
     path: Path, line: int, cells: list[str], places: list[int], names: list[str], bad: list[str]
 ) -> list[float]:
-    """Return time and signals of a row; what is wrong with it is put into `bad`."""
+    """Return time and signals of a row; its mistakes are added to `bad`."""
     values = [math.nan] * 4
     for k, (place, name) in enumerate(zip(places, names, strict=True)):
         text = cells[place].strip() if place < len(cells) else ""
@@ -150,7 +150,7 @@ REJECTS_LINE: Final = 1.0
 
 @dataclass(frozen=True)
 class Averaging:
-    """The averaging time that a signal deserves, s, what is left of the noise then, and why this time.
+    """The averaging time to use for a signal, s, the noise that then remains, and the reason.
 
     `reached` is false where a size was asked for that no averaging time of the record reaches.
     """
@@ -170,7 +170,7 @@ class ReadingAdvice:
     tau_s: float
 
     def line(self) -> str:
-        """Return the line of a procedure file."""
+        """Return the advice as a line of a procedure file."""
         return f"reading: {{samples: {self.samples}, nplc: {self.nplc:g}}}"
 
 
@@ -226,7 +226,7 @@ def reading_advice(
 
 @dataclass(frozen=True)
 class Stability:
-    """What a record says: curve, noise terms and averaging time of each channel, and the reading that suits all.
+    """The analysis of a record: curve, noise terms, averaging time of each channel, and one reading for all.
 
     `advice` is None where the meters cannot average so long in one reading: `no_advice` says why.
     """
@@ -253,7 +253,7 @@ def stability_of(
     nplc: Sequence[float],
     most_samples: int,
 ) -> Stability:
-    """Return what a record says of meters that integrated each sample for `integration_s`.
+    """Return the analysis of a record whose meters integrated each sample for `integration_s`.
 
     `size` is the noise that a reading may have, unit of the signals; None: where longer averages gain little.
     """

@@ -1,1 +1,1 @@
-"""The operator's panel: the runs of a folder in a browser. It reads records and leaves answers and wishes."""
+"""The operator's panel shows runs in a browser. It reads records and stores answers and requests."""

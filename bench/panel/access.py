@@ -1,4 +1,4 @@
-"""Access to the panel: where it listens; persons, roles, tokens, links, sessions; what a request must have."""
+"""Access to the panel: its address; persons, roles, tokens, links, sessions; checks of requests."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ PORT: Final = 8741
 
 @dataclass(frozen=True)
 class Settings:
-    """A panel over the runs in a folder.
+    """The settings of a panel for the runs in a folder.
 
     `address` is the one that a proxy with TLS before it has, such as https://lab; `laboratory` a laboratory file,
     whose register holds the certificates of the runs; `catalogue` the one that its pages on units show, empty for
@@ -50,7 +50,7 @@ class Settings:
 
     @property
     def loopback(self) -> bool:
-        """Whether nobody but this computer can reach it, and no proxy brings others."""
+        """Whether only this computer can reach the panel, directly and without a proxy."""
         return not self.address and is_loopback(self.host)
 
     @property
@@ -61,19 +61,19 @@ class Settings:
 
     @property
     def cookie(self) -> str:
-        """Name of its cookie: browsers tell two panels of one computer apart by it, as ports do not."""
+        """The cookie name, unique for each panel on a computer, because cookies do not depend on ports."""
         return (
             f"bench_panel_{sha256(str(self.runs.resolve()).encode(errors='surrogateescape')).hexdigest()[:8]}"
         )
 
     def allows_host(self, host: str) -> bool:
-        """Whether a request may name this host: on loopback no name that a stranger's server could have."""
+        """Whether a request may name this host. On loopback, names of foreign servers are refused."""
         if self.loopback:
             return host in {f"{name}:{self.port}" for name in ("127.0.0.1", "localhost", "[::1]")}
         return bool(host)
 
     def allows_origin(self, origin: str, host: str) -> bool:
-        """Whether a page of this origin may ask for a change: only one of the panel's own."""
+        """Whether a page of this origin may request changes; only the panel's own pages may."""
         return origin == (self.address or f"http://{host}")
 
 
@@ -86,21 +86,21 @@ def is_loopback(host: str) -> bool:
 
 
 class Role(StrEnum):
-    """What a person may: look and stop; move and answer as well; take control by force as well."""
+    """The role of a person, in rising order: look and stop; also move and answer; also force control."""
 
     VIEWER = "viewer"
     OPERATOR = "operator"
     SUPERVISOR = "supervisor"
 
     def includes(self, other: Role) -> bool:
-        """Whether it may all that another role may."""
+        """Whether this role has all the rights of another role."""
         order = list(Role)
         return order.index(self) >= order.index(other)
 
 
 @dataclass(frozen=True)
 class Person:
-    """Somebody signed in: name, role, and the secret of the session, which only the browser has."""
+    """A signed-in person: name, role, and the secret of the session, which only the browser stores."""
 
     name: str
     role: Role
@@ -108,12 +108,12 @@ class Person:
 
     @property
     def csrf(self) -> str:
-        """What every form of this session carries, and no other page can know."""
+        """The CSRF token in every form of this session, which no other site can know."""
         return hashlib.sha256(f"form:{self.secret}".encode()).hexdigest()[:32]
 
 
 class Refusal(Exception):
-    """A request that is refused: HTTP status and one sentence."""
+    """Raised for a refused request, with the HTTP status and one sentence."""
 
     def __init__(self, status: int, text: str) -> None:
         super().__init__(text)
@@ -138,7 +138,7 @@ HEADERS: Final = {
 
 
 class Gate:
-    """Refuses what no browser of a person at this panel sends; counts what a body brings as it comes."""
+    """Middleware that refuses requests foreign to this panel and limits the size of bodies."""
 
     def __init__(
         self, app: ASGIApp, settings: Settings, refuse: Callable[[Request, Refusal], Response]
@@ -146,7 +146,7 @@ class Gate:
         self._app, self._settings, self._refuse = app, settings, refuse
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or answer with why it is refused."""
+        """Pass a request on, or answer it with the reason for its refusal."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -165,7 +165,7 @@ class Gate:
         await self._app(scope, taken, with_headers)
 
     def _refused(self, scope: Scope) -> Refusal | None:
-        """Return why a request is refused by its head alone."""
+        """Return the refusal of a request on the basis of its head; None if it may pass."""
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         if len(headers.getlist("host")) > 1 or not self._settings.allows_host(host):
@@ -183,7 +183,7 @@ class Gate:
 
 
 def counted(receive: Receive) -> Receive:
-    """Return a receiver that raises `Refusal` once a body is larger than is taken."""
+    """Return a receiver that raises `Refusal` when a body exceeds the largest size allowed."""
     taken = 0
 
     async def bounded() -> Message:
@@ -198,7 +198,7 @@ def counted(receive: Receive) -> Receive:
 
 
 def without_body(receive: Receive) -> Receive:
-    """Return a receiver that drops a body: no page that is looked at reads one.
+    """Return a receiver that drops the body of a request that only reads a page.
 
     A stream, which waits for its client to go away, would meet it when its answer has begun: too late to refuse.
     """
@@ -211,7 +211,7 @@ def without_body(receive: Receive) -> Receive:
 
 
 def private_folder(folder: Path) -> Path:
-    """Return a folder that is its owner's alone (0700), made where there is none. Raises `RecordError`."""
+    """Return a folder that only its owner can enter (0700); create it if missing. Raises `RecordError`."""
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         found = folder.lstat()
@@ -227,7 +227,7 @@ def private_folder(folder: Path) -> Path:
 
 
 class KeptList:
-    """A list of JSON objects in a file; several programs may change it, one after the other."""
+    """A list of JSON objects in a file, locked so that several programs change it in turn."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self._path = folder / name
@@ -236,7 +236,7 @@ class KeptList:
         self._rows: list[dict[str, Any]] = []
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the rows, read anew where the file was written since. Raises `RecordError` for a damaged file."""
+        """Return the rows, read again if the file has changed. Raises `RecordError` for a damaged file."""
         try:
             found = self._path.stat()
             stamp = (found.st_mtime_ns, found.st_size, found.st_ino)
@@ -255,7 +255,7 @@ class KeptList:
 
     @contextmanager
     def changed(self) -> Iterator[list[dict[str, Any]]]:
-        """Give the rows to be changed in place; they are written when the block ends. Raises `RecordError`."""
+        """Yield the rows for change in place; write them when the block ends. Raises `RecordError`."""
         try:
             with self._lock:
                 rows = self.rows()
@@ -274,13 +274,13 @@ SESSIONS: Final = "sessions.json"
 LONGEST_SESSION: Final = timedelta(days=7)
 LONGEST_LINK: Final = timedelta(minutes=30)
 MOST_SESSIONS: Final = 20
-"""Sessions of one person; the oldest ends when another begins."""
+"""Largest number of sessions of one person; a further session ends the oldest."""
 MOST_LINKS: Final = 50
 LONGEST_NAME: Final = 60
 
 
 class Access:
-    """Who may come in. What it knows stands in files of a folder that is its owner's alone."""
+    """The tokens, links and sessions of a panel, stored in a folder that only its owner can enter."""
 
     def __init__(self, folder: Path, now: Callable[[], datetime] = utc_now) -> None:
         private_folder(folder)
@@ -292,7 +292,7 @@ class Access:
     # --- tokens -------------------------------------------------------------------------------------
 
     def new_token(self, name: str, role: Role) -> str:
-        """Make a person's token and return it, this once. Raises `RecordError` for a name that has one."""
+        """Create a token and return it; it is not shown again. Raises `RecordError` if the name has one."""
         name = checked_person(name)
         token = secrets.token_urlsafe(32)
         with self._tokens.changed() as rows:
@@ -308,7 +308,7 @@ class Access:
         return [{key: row[key] for key in ("name", "role", "made")} for row in self._tokens.rows()]
 
     def revoke(self, name: str) -> None:
-        """Forget a person's token; its sessions end with it. Raises `RecordError` where there is none."""
+        """Delete a person's token and end its sessions. Raises `RecordError` where there is no token."""
         with self._tokens.changed() as rows:
             kept = [row for row in rows if row["name"] != name]
             if len(kept) == len(rows):
@@ -319,7 +319,7 @@ class Access:
     # --- one-time links -----------------------------------------------------------------------------
 
     def new_link(self, name: str) -> str:
-        """Make the secret of a link that signs an operator in, once, within half an hour."""
+        """Return the secret of a new link, which signs an operator in once within half an hour."""
         link = secrets.token_urlsafe(32)
         with self._links.changed() as rows:
             rows.append({"name": name, "sha256": _hash(link), "made": self._now().isoformat()})
@@ -327,7 +327,7 @@ class Access:
         return link
 
     def sign_in_by_link(self, link: str) -> Person | None:
-        """Take a link's secret and return who is signed in by it, None where it is used up, too old or none."""
+        """Return the person whom a link's secret signs in; None if it is used, expired or unknown."""
         digest = _hash(link)
         # looked at before the file is locked: what strangers guess must not make anybody wait
         if not any(row["sha256"] == digest for row in self._links.rows()):
@@ -342,7 +342,7 @@ class Access:
     # --- sessions -----------------------------------------------------------------------------------
 
     def sign_in_by_token(self, token: str) -> Person | None:
-        """Return who is signed in by a token, None where it is nobody's."""
+        """Return the person whom a token signs in; None if the token is unknown."""
         digest = _hash(token)
         for row in self._tokens.rows():
             if secrets.compare_digest(str(row["sha256"]), digest):
@@ -367,7 +367,7 @@ class Access:
         return Person(name, role, secret)
 
     def person(self, secret: str) -> Person | None:
-        """Return whose session a cookie's secret is, None where it is none, too old, or its token was revoked."""
+        """Return the person of a cookie's session; None if it is unknown, expired, or its token revoked."""
         if not secret:
             return None
         digest = _hash(secret)

@@ -1,4 +1,4 @@
-"""The panel's application: which address leads to which page, and how connections are kept."""
+"""The panel's application: the routes to its pages, and the limits on connections."""
 
 from __future__ import annotations
 
@@ -74,11 +74,11 @@ ROUTES = [
 ]
 
 KNOWN = (RecordError, FileMistakes, Refused, ReadingsError, BenchError, OSError, ImportError)
-"""Errors that were made to be read by a person: what a record or a file is like is no defect of the panel."""
+"""Errors with messages for the user; they concern records and files and are no defect of the panel."""
 
 
 def make_app(settings: Settings) -> Starlette:
-    """Return the application of a panel. Raises `RecordError` where it cannot keep what it keeps."""
+    """Return the application of a panel. Raises `RecordError` where its folder cannot be used."""
     panel = Panel(settings)
     app = Starlette(
         routes=ROUTES,
@@ -108,11 +108,11 @@ LATE_OF_CATALOGUE: Final = (
     "bench.catalogue.unit",
     "bench.results.catalogue",
 )
-"""What pages import when they are first asked for: a second's work, which a program that only asks is spared."""
+"""Modules that pages import on first use; programs that only query the panel save this time (1 s)."""
 
 
 def prepare(panel: Panel) -> None:
-    """Load what the first pages would load, and read the runs once, so that nobody waits for it."""
+    """Load modules and templates and read the runs once, so that the first pages are fast."""
     load()
     load_bench(find_bench("paper-stand"))  # units and devices are loaded by the first file that names some
     for name in LATE + LATE_OF_CATALOGUE * bool(panel.settings.catalogue):
@@ -122,7 +122,7 @@ def prepare(panel: Panel) -> None:
 
 
 def _preparing(panel: Panel) -> Callable[[Starlette], AbstractAsyncContextManager[None]]:
-    """Return what prepares the panel while it begins to serve."""
+    """Return the lifespan function that prepares the panel while it begins to serve."""
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
@@ -135,13 +135,13 @@ def _preparing(panel: Panel) -> Callable[[Starlette], AbstractAsyncContextManage
 
 MOST_CONNECTIONS: Final = 200
 REQUEST_S: Final = 10.0
-"""A request, head and body, must have arrived within this time."""
+"""Longest time (s) for a request to arrive, with head and body."""
 
 _UNFINISHED: Final = frozenset({h11.IDLE, h11.SEND_BODY})
 
 
 class Connection(H11Protocol):
-    """A connection that is closed where its request takes too long, or where there are too many connections."""
+    """A connection that is closed if its request takes too long or there are too many connections."""
 
     _late: asyncio.TimerHandle | None = None
 
@@ -157,18 +157,18 @@ class Connection(H11Protocol):
             min(waiting, key=waiting.__getitem__).transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Wait no longer."""
+        """Stop waiting for a request."""
         if self._late:
             self._late.cancel()
         super().connection_lost(exc)
 
     def handle_events(self) -> None:
-        """Take what has arrived; see whether the request is whole now."""
+        """Process the data received, and check whether the request is complete."""
         super().handle_events()
         self._watch()
 
     def send_400_response(self, msg: str) -> None:
-        """Answer what is no HTTP, unless it follows a request that was answered before its body had come."""
+        """Answer invalid HTTP, unless it follows a request that was answered before its body arrived."""
         if self.cycle is not None:
             self.cycle.disconnected = True  # what a page still answers has nowhere to go
             self.cycle.message_event.set()
@@ -185,7 +185,7 @@ class Connection(H11Protocol):
 
 
 class OncePerMinute(logging.Filter):
-    """Passes each warning once in a minute: what a client does wrong must not fill the disk. Errors pass."""
+    """A log filter: each warning passes once a minute, so clients cannot fill the disk. Errors pass."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -217,7 +217,7 @@ OPEN_WIRE: Final = (
 
 
 def serve(settings: Settings, tell: Callable[[str], None]) -> None:
-    """Serve until it is ended; `tell` is given the address, the link, and what is to be said of the network.
+    """Serve a panel until it is ended; `tell` receives the address, the link and notes on the network.
 
     Raises `RecordError` where another panel serves the folder, nobody could sign in, or it cannot listen there.
     """
@@ -247,7 +247,7 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
 
 
 def config_of(app: ASGIApp) -> uvicorn.Config:
-    """Return how an application is served: by our connections, with warnings about clients once a minute."""
+    """Return the server configuration: `Connection` for connections, `OncePerMinute` for warnings."""
     import uvicorn
 
     from bench.panel.shared import LOG
@@ -304,7 +304,7 @@ def _listening(settings: Settings) -> socket.socket:
 
 
 def url_of(runs: Path) -> str:
-    """Return where the panel of a folder is, as it said itself when it began; empty where none ever did."""
+    """Return the address that the panel of a folder stored when it last began; empty if there is none."""
     try:
         told = from_text(read_regular(runs / STATE / SERVER))
         return str(told["url"])
@@ -376,7 +376,7 @@ def new_link(runs: Path, after: str = "/") -> str:
 
 
 def login_name() -> str:
-    """Return under which name a person works on this computer."""
+    """Return the login name of the user of this computer."""
     try:
         return getpass.getuser()
     except (OSError, KeyError, ImportError):

@@ -26,7 +26,7 @@ LARGEST_PAGE: Final = 64 * 2**20
 
 
 class RunsFolder:
-    """The runs in a folder. What is a link, or lies elsewhere, is none of them."""
+    """The runs in a folder. Links and paths outside the folder are excluded."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -71,7 +71,7 @@ def read_page(run: Run, name: str) -> bytes:
 
 @dataclass(frozen=True)
 class Issued:
-    """A certificate of a run: its number, what is true of it now and by what, whether it is signed, its files."""
+    """A certificate of a run: its number, its status and the cause, whether it is signed, its files."""
 
     number: str
     state: str
@@ -130,7 +130,7 @@ class Certificates:
 
 
 def _head_of(run: Run) -> str:
-    """Return the hash that stands for a run's record, as its own result names it; empty where there is none."""
+    """Return the head hash of a run's record from its own result; empty if there is none."""
     try:
         return str(read_json(read_page(run, "calibrate.json"))["record"]["head"])
     except (Refusal, ValueError, KeyError, TypeError):
@@ -139,7 +139,7 @@ def _head_of(run: Run) -> str:
 
 UNREAD: Final = "not read yet"
 LONGEST_LOOK_S: Final = 0.1
-"""So long a page waits for runs that nobody has read yet; the rest is read meanwhile."""
+"""Longest time (s) that a page waits for runs not read yet; the others are read in the background."""
 TAIL: Final = 65_536
 _ON: Final = {b'"run_paused"': "paused", b'"run_continued"': "running", b'"run_resumed"': "running"}
 _GOES_ON: Final = frozenset({"running", "paused"})
@@ -169,7 +169,7 @@ class RunRow:
         return self.state in _GOES_ON
 
     def fits(self, words: tuple[str, ...], wanted: Mapping[str, str]) -> bool:
-        """Whether all words stand somewhere in it, and each column that is `wanted` says that."""
+        """Whether the row contains all `words`, and its columns have the values in `wanted`."""
         if any(text and getattr(self, column) != text for column, text in wanted.items()):
             return False
         told = " ".join((self.name, self.unit, self.bench, self.operator, self.procedure, self.created))
@@ -187,7 +187,7 @@ class RunsTable:
         self._kept: dict[str, tuple[Stamp, RunRow]] = {}
 
     def rows(self) -> list[RunRow]:
-        """Return all rows; of runs that take too long to read for now what stands in their manifest."""
+        """Return all rows; for runs that take too long to read, the rows contain only their manifests."""
         until_s = self._clock.now_s() + LONGEST_LOOK_S
         found = []
         for run in self._folder.runs():
@@ -208,7 +208,7 @@ class RunsTable:
         )
 
     def read_all(self) -> None:
-        """Read every run once, and keep what was read for the next time."""
+        """Read every run once, and cache the rows."""
         for run in self._folder.runs():
             self._read(run, _stamp(run.folder), wait=True)
         with self._reading:
@@ -240,7 +240,7 @@ class RunsTable:
 
 
 def _now(folder: RunsFolder, row: RunRow) -> RunRow:
-    """Return a row that was kept as it is now: another program may have taken the run up without a line yet."""
+    """Return a cached row with its current state: a program may have resumed the run without a new event."""
     if row.to_go_on and is_being_written(folder.path / row.name):
         return replace(row, state=state_at_the_end(folder.path / row.name), to_go_on="")
     return row

@@ -1,7 +1,7 @@
-"""Who is in control of a run: one person, or nobody. What was asked, given and taken stands in the run's folder.
+"""Control of a run, which one person has, or nobody. A journal in the run's folder records its changes.
 
-The journal is the only place where it stands, so that it is known again after the server was killed. Control passes
-by a person's word alone; no time runs out on anybody.
+The state of control is stored only in the journal, so that it survives a kill of the server. Control passes
+only by the action of a person; it never expires.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from drivers.clock import utc_now
 JOURNAL: Final = "holding.jsonl"
 MOST_ASKING: Final = 20
 LARGEST: Final = 4 * 2**20
-"""A journal of so many bytes takes no more asking and denying: neither changes who holds."""
+"""Size (bytes) above which a journal accepts no further asking and denying, which change no holder."""
 
 
 class Deed(StrEnum):
-    """What a line of the journal tells."""
+    """The kind of action that a line of the journal records."""
 
     TAKEN = "taken"
     ASKED = "asked"
@@ -46,14 +46,14 @@ WORDS: Final = {
     "release": Deed.RELEASED,
     "force": Deed.FORCED,
 }
-"""What may be asked for, and what is done then."""
+"""The commands of the control form, with the actions that they cause."""
 
 
 @dataclass(frozen=True)
 class Holding:
-    """Who is in control (empty: nobody), since when and how, and who has asked for it, the first first.
+    """The state of control: holder (empty for nobody), time and manner, and the persons asking, in order.
 
-    `denied` are those whose asking was turned down since they asked last.
+    `denied` are the persons whose last request was denied.
     """
 
     holder: str = ""
@@ -63,7 +63,7 @@ class Holding:
     denied: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as pages and their script are given it."""
+        """Return the state of control in the form for pages and their script."""
         return {
             "holder": self.holder or None,
             "since": self.since or None,
@@ -73,7 +73,7 @@ class Holding:
         }
 
     def after(self, deed: Deed, who: str, to: str, at: str) -> Holding:
-        """Return what it is after a line of the journal."""
+        """Return the state of control after one more line of the journal."""
         match deed:
             case Deed.TAKEN | Deed.FORCED:
                 return self._held_by(who, at, deed)
@@ -129,9 +129,9 @@ def _told(text: bytes) -> Holding:
 def change(
     folder: Path, word: str, person: Person, to: str = "", now: Callable[[], datetime] = utc_now
 ) -> Holding:
-    """Do what a person asks of the control of a run, if it may; return who is in control then.
+    """Carry out a person's command on the control of a run, if allowed; return the new state.
 
-    Raises `Refusal` with what speaks against it, `OSError` where it cannot be written.
+    Raises `Refusal` with the reason if it is not allowed, `OSError` where it cannot be written.
     """
     if word not in WORDS:
         raise Refusal(400, f"ask for one of {', '.join(WORDS)}")
@@ -192,7 +192,7 @@ def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
 
 
 def require_holder(folder: Path, person: Person) -> None:
-    """Raise `Refusal` unless a person is in control of the run in a folder, and may be."""
+    """Raise `Refusal` unless the person controls the run in a folder and has a role that allows it."""
     if not person.role.includes(Role.OPERATOR):
         raise Refusal(
             403, f"{person.name} is signed in as {person.role}; this takes the role {Role.OPERATOR}"

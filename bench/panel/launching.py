@@ -1,4 +1,4 @@
-"""Programs that the panel starts: what may be chosen, checked, run, resumed, diagnosed."""
+"""Programs that the panel starts: to check, try, run, resume and diagnose; and the choice of files."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ class Started:
         return self.process.poll()
 
     def last_words(self) -> str:
-        """Return the end of what it has written."""
+        """Return the end of the output of the process."""
         return last_words(self.log)
 
 
 def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH) -> Started:
-    """Start a command that no end of this program ends. Raises `OSError`.
+    """Start a command that outlives this program. Raises `OSError`.
 
     The arguments are given one by one, never to a shell.
     """
@@ -87,7 +87,7 @@ def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None 
 
 
 def last_words(log: Path) -> str:
-    """Return the end of what a process has written into its file."""
+    """Return the end of the output of a process from its file `log`."""
     try:
         with open_regular(log) as file:
             file.seek(max(file.seek(0, 2) - LAST_WORDS, 0))
@@ -106,7 +106,7 @@ MOST_AT_ONCE: Final = 2
 
 @dataclass(frozen=True)
 class WantedRun:
-    """The run that somebody wants: fields of `RunRequest` as the form sent them, and what they were checked with.
+    """A requested run: the fields of `RunRequest` from the form, and the files with which they were checked.
 
     Procedure and bench are absolute paths, `sha256` the hash of each. A dry run is practice: a person answers.
     """
@@ -124,11 +124,11 @@ class WantedRun:
         return self.request.procedure, self.request.bench
 
     def hashed(self) -> WantedRun:
-        """Return it with the hashes of its files as they are now. Raises `Refusal`."""
+        """Return the requested run with the current hashes of its files. Raises `Refusal`."""
         return replace(self, sha256=self._hashes())
 
     def changed(self) -> bool:
-        """Whether its files are others than those that were checked. Raises `Refusal`."""
+        """Whether the files were changed since they were checked. Raises `Refusal`."""
         return dict(self.sha256) != self._hashes()
 
     def _hashes(self) -> dict[str, str]:
@@ -143,7 +143,7 @@ class WantedRun:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """What check and dry run found. `stage` is "checking", "trying" or "done".
+    """The findings of check and dry run. `stage` is "checking", "trying" or "done".
 
     `check` are the findings as `bench check --json` has them, `mistakes` what keeps the files from being read;
     `tried` the exit status of the dry run, None where there was none, and `said` its last words; `result` what
@@ -166,7 +166,7 @@ class TrialResult:
 
 
 class WishFolder:
-    """The folder of one wish."""
+    """The folder of one requested run (a wish)."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -177,23 +177,23 @@ class WishFolder:
         return self.path.name
 
     def wanted(self) -> WantedRun:
-        """Return what is wanted. Raises `Refusal`."""
+        """Return the requested run. Raises `Refusal`."""
         return WantedRun(**self._read(WISH))
 
     def found(self) -> TrialResult:
-        """Return what was found so far. Raises `Refusal`."""
+        """Return the findings so far. Raises `Refusal`."""
         return TrialResult(**self._read(FOUND))
 
     def tell(self, found: TrialResult) -> None:
-        """Keep what was found so far."""
+        """Store the findings so far."""
         write_whole(self.path / FOUND, to_text(asdict(found)))
 
     def lock(self) -> FileLock:
-        """Return the lock that whoever checks and tries has as long as it lives."""
+        """Return the lock that the checking process holds as long as it lives."""
         return FileLock(self.path / LOCK, mode=0o600)
 
     def at_work(self) -> bool:
-        """Whether somebody checks or tries now."""
+        """Whether a process checks or tries the run now."""
         try:
             with self.lock().acquire(timeout=0):
                 return False
@@ -203,7 +203,7 @@ class WishFolder:
             return False
 
     def mark_started(self, name: str) -> None:
-        """Note which run was started of it, once. Raises `Refusal` where one was."""
+        """Record the name of the run started from this wish. Raises `Refusal` if one was started already."""
         try:
             with (self.path / STARTED).open("x", encoding="utf-8") as file:
                 file.write(name)
@@ -211,11 +211,11 @@ class WishFolder:
             raise Refusal(409, f"this was started already, as {self.started()}") from None
 
     def unmark_started(self) -> None:
-        """Forget that it was started, as it did not begin."""
+        """Delete the mark of `mark_started`, because the run did not begin."""
         (self.path / STARTED).unlink(missing_ok=True)
 
     def started(self) -> str:
-        """Return which run was started of it, empty where none was."""
+        """Return the name of the run started from this wish; empty if none was."""
         try:
             return read_regular(self.path / STARTED).decode()
         except OSError:
@@ -346,7 +346,7 @@ MARKS: Final = {
     PROCEDURES: re.compile(rb"^procedure\s*:", re.MULTILINE),
     CONFIG: re.compile(rb"^instruments\s*:", re.MULTILINE),
 }
-"""By what a file of the working folder is known as a procedure or a bench file."""
+"""Patterns by which a file of the working folder is recognised as a procedure or a bench file."""
 
 NEXT: Final = "diagnose-next.yaml"
 """What the diagnosis of a run proposes to measure, in the run's folder."""
@@ -355,7 +355,7 @@ BEGINNING: Final = 65_536
 
 
 def choices(kind: str, working: Path | None = None) -> dict[str, Path]:
-    """Return what may be chosen of a kind (`PROCEDURES` or `CONFIG`), by name.
+    """Return the files of a kind (`PROCEDURES` or `CONFIG`) that may be chosen, by name.
 
     A copy in the working folder is taken for the shipped file of its name, as commands do.
     """
@@ -440,7 +440,7 @@ def checked(wanted: WantedRun, folder: Path) -> TrialResult:
 
 
 def tried(wish: WishFolder, found: TrialResult) -> TrialResult:
-    """Return what a dry run came to."""
+    """Return the findings extended by the outcome of a dry run."""
     log, result = wish.path / "dry-run.log", wish.path / "dry-run.json"
     trial = replace(wish.wanted().request, dry_run=True, name="trial", runs=wish.path / "runs", operator="")
     arguments = ["run", *arguments_of(trial), f"--json={result}"]

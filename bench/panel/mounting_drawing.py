@@ -33,7 +33,7 @@ FOOT: Final = np.array([WIDTH / 2, HEIGHT - 12.0])
 
 
 def on_sheet(point: Floats) -> Floats:
-    """Return where on the sheet a point is that lies so far right, away and up, shape (..., 3) to (..., 2)."""
+    """Return the place on the sheet of points given as (right, away, up), shape (..., 3) to (..., 2)."""
     place: Floats = CENTRE + SCALE * (point @ np.array([RIGHT, AWAY, UP]))
     return place
 
@@ -51,7 +51,7 @@ def block_axes(installation: Installation, angle_rad: float) -> Floats:
 
 @dataclass
 class Sheet:
-    """Shapes, in the order in which they are drawn."""
+    """A drawing under construction: its shapes in the order in which they are drawn."""
 
     shapes: list[str] = field(default_factory=list)
 
@@ -87,7 +87,7 @@ class Sheet:
         )  # fmt: skip
 
     def svg(self, words: str) -> str:
-        """Return the drawing; `words` say what is to be seen to who does not see it."""
+        """Return the drawing as SVG; `words` describe it for users who cannot see it."""
         return (
             f'<svg class="drawing" xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
             f'aria-label="{escape(words)}">{"".join(self.shapes)}</svg>'
@@ -185,7 +185,7 @@ def _block(sheet: Sheet, installation: Installation, angle_rad: float) -> None:
 
 
 def _aside(axis: Floats) -> Floats:
-    """Return by how much a letter stands beside its axis: one along the shaft is short on the sheet."""
+    """Return the sideways offset of an axis's letter; an axis along the shaft is short on the sheet."""
     return np.array([10.0, 0.0]) if abs(axis[1]) > 0.9 else np.zeros(2)
 
 

@@ -1,4 +1,4 @@
-"""What was found of a run, as the files in its folder tell it."""
+"""The results of a run, read from the files in its folder."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FIGURES: Final = {
     "residuals-in-time": b"Residuals of channels x, y, z against ",
     "verification": b"\xce\x94g at ",
 }
-"""Figures of the report by the beginning of what they say they show."""
+"""The figures of the report, with the beginning of the description by which each is found."""
 
 _STATES: Final = {
     "pass": "passed",
@@ -77,7 +77,7 @@ class VerdictTold:
 
 @dataclass(frozen=True)
 class CoefficientRow:
-    """A coefficient ± U."""
+    """A coefficient ± U as shown on a page."""
 
     name: str
     value: str
@@ -107,7 +107,7 @@ class DiagnosisTold:
 
 @dataclass(frozen=True)
 class Results:
-    """What is there of a run; `trouble` names files that cannot be read."""
+    """The available results of a run; `trouble` names files that cannot be read."""
 
     verdict: VerdictTold | None
     calibration: CalibrationTold | None
@@ -117,7 +117,7 @@ class Results:
 
 
 def results_of(run: Run) -> Results:
-    """Return what was found of a run."""
+    """Return the results of a run."""
     trouble: list[str] = []
 
     def told(name: str, words: Callable[[Mapping[str, Any]], Told]) -> Told | None:
@@ -136,7 +136,7 @@ def results_of(run: Run) -> Results:
 
 
 def is_plain(path: Path) -> bool:
-    """Whether it is a file, and no link."""
+    """Whether a path is a regular file and no link."""
     return path.is_file() and not path.is_symlink()
 
 

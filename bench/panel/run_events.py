@@ -1,4 +1,4 @@
-"""Events of a run read as they are written, and what they say of it by now."""
+"""Events of a run, read as they are written, and the state of the run that follows from them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from bench.run.record import parse_line
 from bench.run.resume import PlanProgress
 
 MOST_LAST: Final = 40
-"""So many of the last events are told."""
+"""Number of recent events that are shown."""
 
 MOST_WARNINGS: Final = 20
 
@@ -132,12 +132,12 @@ class RunView:
 
     @property
     def prompt(self) -> AskedPrompt | None:
-        """The question that stands."""
+        """The open question to the operator; None if there is none."""
         return self.progress.asked.prompt
 
     @property
     def waiting(self) -> tuple[Event, Wait | Settle] | None:
-        """What is being waited for, and since when."""
+        """The wait or settling in progress, with the event at which it began."""
         if self.step is None or self.prompt is not None:
             return None
         step = self.plan.steps[self.step.step]
@@ -145,7 +145,7 @@ class RunView:
 
     @property
     def taken(self) -> tuple[Event, Reading] | None:
-        """The reading taken last, with its event."""
+        """The last reading taken, with its event."""
         event = self._brought.get(Read)
         return (event, event.reading) if event is not None and event.reading is not None else None
 
@@ -190,15 +190,15 @@ class RunView:
 
 
 KEPT_LINES, KEPT_BYTES = 100, 1 << 20
-"""Near its two ends all of a record is read; between them the beginnings of steps tell nothing any more."""
+"""The first lines and last bytes of a record that are read in full; in between, step starts are skipped."""
 
 HEAD: Final = 160
 _BEGUN: Final = f'"type": "{EventType.STEP_STARTED}"'.encode()
-"""Stands before everything that a person or an instrument says."""
+"""Bytes in an event's line that precede all texts of persons and instruments."""
 
 
 class Tail:
-    """The events of a run from the first on. Half a line waits until it is whole, or cut off."""
+    """A reader of the events of a growing record, from the first. An incomplete line is read later."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / EVENTS
@@ -206,17 +206,16 @@ class Tail:
         self._count = 0
 
     def grown(self) -> bool:
-        """Say whether there is something that was not read yet; a record that was cut back counts as that,
-        too."""
+        """Return whether the record has unread content, or was cut back."""
         try:
             return self._path.stat().st_size != self._read
         except OSError:
             return False
 
     def new(self) -> Iterator[Event]:
-        """Return the events written since the last call, of a long record without the beginnings of old steps.
+        """Yield the events written since the last call; for a long record, without the starts of old steps.
 
-        Raises `RecordError` where the record is not one that has only grown.
+        Raises `RecordError` if the record has changed other than by growth.
         """
         try:
             with open_regular(self._path) as file, uncollected():

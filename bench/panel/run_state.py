@@ -1,4 +1,4 @@
-"""What is told of a run at a moment: its state, and the question that waits."""
+"""The snapshot of a run for pages and scripts: its state, and the open question."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from drivers.person import PromptKind
 
 
 def prompt_of(asked: AskedPrompt, seen: RunView, installations: Mapping[str, Installation]) -> dict[str, Any]:
-    """Return a question.
+    """Return a question in the form for pages and scripts, with these keys.
 
     `id`, `kind`, `text`, `default`, `unit`, `choices`, `minimum`, `maximum`, `picture` as it was put; `do`,
     what is to be done; `target`, the angle in ° ′ ″ of a turn, `direction` +1 or -1; `drawing`, an SVG,
@@ -68,7 +68,7 @@ def prompt_of(asked: AskedPrompt, seen: RunView, installations: Mapping[str, Ins
 
 
 def _buttons(told: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Return the answers that a press gives; an empty one is the default, as by Enter."""
+    """Return the buttons of a question; an empty answer selects the default, as Enter does."""
     default = told["default"]
     buttons = [] if default is None else [{"text": "", "label": _label(told, str(default))}]
     match told["kind"]:
@@ -103,7 +103,7 @@ def _label(told: Mapping[str, Any], default: str) -> str:
 
 LOG_LINES: Final = 14
 DRIFTS: Final = 0.01
-"""A drift that chance makes as rarely is told as one."""
+"""Significance level: a drift with a smaller p-value is reported."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def snapshot(
 
 
 def _doing(seen: RunView, *, alive: bool) -> str:
-    """Say in a sentence what is being done."""
+    """Return a sentence on the current activity."""
     match seen.state:
         case RunState.FINISHED | RunState.ABORTED:
             return f"The run is {seen.state}."

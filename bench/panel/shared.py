@@ -1,4 +1,4 @@
-"""What all pages share: the panel itself, who asks and what is sent, templates and files, and refusals."""
+"""Functions shared by all pages: the panel, the person and form of a request, templates, refusals."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Panel:
 
 
 LOG: Final = logging.getLogger("uvicorn.error")
-"""Where the server writes its warnings, and the panel those about a client."""
+"""The log of the server, to which the panel adds warnings about clients."""
 
 MOST_FIELDS: Final = 40
 CSRF_HEADER: Final = "x-csrf"
@@ -57,13 +57,13 @@ def panel_of(request: Request) -> Panel:
 
 
 def person_of(request: Request) -> Person | None:
-    """Return who is signed in, None for a stranger."""
+    """Return the signed-in person of a request; None for a stranger."""
     panel = panel_of(request)
     return panel.access.person(request.cookies.get(panel.settings.cookie, ""))
 
 
 def looking(request: Request) -> Person:
-    """Return who looks. Raises `Refusal` for a stranger."""
+    """Return the signed-in person who requests a page. Raises `Refusal` for a stranger."""
     person = person_of(request)
     if person is None:
         raise Refusal(401, "sign in first")
@@ -71,7 +71,7 @@ def looking(request: Request) -> Person:
 
 
 async def acting(request: Request, least: Role) -> tuple[Person, dict[str, str]]:
-    """Return who asks for a change, and the fields sent. Raises `Refusal` for who may not, or a foreign form."""
+    """Return the person requesting a change, and the form's fields. Raises `Refusal` if not allowed."""
     person = looking(request)
     sent = await fields(request)
     given = request.headers.get(CSRF_HEADER) or sent.pop("csrf", "")
@@ -117,7 +117,7 @@ ASSETS: Final = {
     "plots.js": "text/javascript; charset=utf-8",
     "icon.svg": "image/svg+xml",
 }
-"""What pages load, with its kind. They load nothing else, from nowhere else."""
+"""The files that pages load, with their media types. Pages load nothing else."""
 
 
 @cache
@@ -170,7 +170,7 @@ KEPT = {"cache-control": "public, max-age=31536000, immutable"}
 
 
 async def send_asset(request: Request) -> Response:
-    """Send a file of ours; what was in it under another address is gone."""
+    """Send an asset, but only under its current address, which changes with its content."""
     name = request.path_params["name"]
     if name not in ASSETS or request.scope["path"] != asset(name):
         raise Refusal(404, "there is no such file")
@@ -196,13 +196,13 @@ def page(request: Request, name: str, *, status: int = 200, **content: Any) -> H
 
 
 def wants_json(request: Request) -> bool:
-    """Whether a script asks: it says so, or sends JSON."""
+    """Whether a script made the request: it accepts or sends JSON."""
     asked = request.headers.get("accept", "") + request.headers.get("content-type", "")
     return "application/json" in asked or "text/event-stream" in asked
 
 
 def refused(request: Request, refusal: Refusal) -> Response:
-    """Answer with why a request is refused; who only has to sign in is led there."""
+    """Answer with the reason for a refusal; lead persons who must sign in to that page."""
     if wants_json(request):
         return JSONResponse({"problem": visible(bounded(refusal.text))}, status_code=refusal.status)
     if refusal.status == HTTPStatus.UNAUTHORIZED and request.method == "GET":
@@ -214,14 +214,14 @@ def refused(request: Request, refusal: Refusal) -> Response:
 
 
 def by_framework(request: Request, error: Exception) -> Response:
-    """Answer for what the framework refuses: an address or a method that there is not."""
+    """Answer for a refusal by the framework: an unknown address or method."""
     status = error.status_code if isinstance(error, HTTPException) else 500
     texts = {404: "there is no such page", 405: "this cannot be asked of this page"}
     return refused(request, Refusal(status, texts.get(status, HTTPStatus(status).phrase)))
 
 
 def by_refusal(request: Request, error: Exception) -> Response:
-    """Answer for a refusal of ours."""
+    """Answer for a `Refusal`."""
     return refused(request, error if isinstance(error, Refusal) else Refusal(400, str(error)))
 
 

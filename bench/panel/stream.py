@@ -31,18 +31,18 @@ from drivers.clock import Clock, SystemClock, utc_now
 
 MOST_POINTS: Final = 200
 COVERAGE: Final = 2.0
-"""The bands are ± so many standard uncertainties."""
+"""Half-width of the bands in standard uncertainties."""
 
 
 @dataclass(frozen=True)
 class PlottedPoints:
-    """Points as they were at a moment, see `ResidualPlot`; `version` changes with those that stood before."""
+    """The points of a `ResidualPlot` at one time; `version` increases when earlier points change."""
 
     version: int = 0
     points: tuple[dict[str, Any], ...] = ()
 
     def since(self, told: PlottedPoints) -> dict[str, Any]:
-        """Return what is to be sent to who was told these: from which place on which points stand, and k."""
+        """Return the update for a viewer with the points `told`: first changed index, new points, and k."""
         begin = len(told.points) if told.version == self.version else 0
         return {"from": begin, "k": COVERAGE, "points": self.points[begin:]}
 
@@ -64,7 +64,7 @@ class ResidualPlot:
         self.version = 0
 
     def note(self, event: Event) -> None:
-        """Take note of an event, to be judged later: see `judge_next`."""
+        """Queue an event, which `judge_next` processes later."""
         if event.type not in _TOLD:
             return
         if event.type == EventType.STEP_DONE and not isinstance(self._steps[event.step], Read | Mount):
@@ -80,7 +80,7 @@ class ResidualPlot:
         return self._readings > 0
 
     def judge_next(self) -> bool:
-        """Judge the next of the readings that wait; say whether there was one."""
+        """Judge the next queued reading; return whether there was one."""
         while self._waiting:
             event = self._waiting.popleft()
             self._watcher.observe(event)
@@ -136,11 +136,14 @@ def _is_reading(event: Event) -> bool:
 
 
 ALIVE_LOOK_S: Final = 1.0
-"""So often it is looked whether a program still carries the run out."""
+"""Interval (s) of the check whether a program still carries out the run."""
 
 
 class Follower:
-    """Follows a run. Raises `RecordError`, `FileMistakes` where its inputs or its record cannot be read."""
+    """A follower of one run: it reads new events and judges readings.
+
+    Raises `RecordError`, `FileMistakes` where its inputs or its record cannot be read.
+    """
 
     def __init__(self, folder: Path, clock: Clock | None = None) -> None:
         run = Run(folder)
@@ -169,10 +172,10 @@ class Follower:
         )
         self._alive, self._looked_s = False, -ALIVE_LOOK_S
         self._unheard = 0
-        """Up to this event nobody hears an answer any more: the program that asked is gone."""
+        """Up to this event number, questions cannot be answered: the program that asked is gone."""
 
     def look(self) -> bool:
-        """Read what is new; say whether what is told of the run has changed. Raises `RecordError`."""
+        """Read new events; return whether the snapshot of the run has changed. Raises `RecordError`."""
         grown = self._tail.grown()
         # what comes where nobody was thought to write is another program's: its question is to be heard
         changed = self._look_for_writer(at_once=grown and not self._alive)
@@ -188,7 +191,7 @@ class Follower:
         return changed
 
     def judge(self) -> bool:
-        """Judge one reading more against its prediction; say whether there was one."""
+        """Judge the next reading against its prediction; return whether there was one."""
         return self._residuals.judge_next()
 
     @property
@@ -203,7 +206,7 @@ class Follower:
         return self._residuals.waiting
 
     def state(self) -> dict[str, Any]:
-        """Return what is told of the run now, see `bench.panel.run_state`."""
+        """Return the current snapshot of the run, see `bench.panel.run_state`."""
         if (begun := self._seen.begun) is not None:
             self._time_left.begin(begun.step, begun.bench_s)
         return snapshot(
@@ -212,15 +215,15 @@ class Follower:
 
     @property
     def points_version(self) -> tuple[int, int]:
-        """What changes with the points: how often those before were changed, and how many there are."""
+        """The version of the points: the number of changes to earlier points, and the number of points."""
         return self._residuals.version, len(self._residuals.points)
 
     def points(self) -> PlottedPoints:
-        """Return the readings against their predictions as they are now."""
+        """Return the current points: readings compared with their predictions."""
         return PlottedPoints(self._residuals.version, tuple(self._residuals.points))
 
     def _look_for_writer(self, *, at_once: bool) -> bool:
-        """Look now and then, or at once, whether the run is carried out; say whether that has changed."""
+        """Check, at intervals or at once, if a program carries out the run; return whether that changed."""
         now_s = self._clock.now_s()
         if not at_once and now_s - self._looked_s < ALIVE_LOOK_S:
             return False
@@ -232,13 +235,13 @@ class Follower:
 LOOK_S: Final = 0.05
 BEAT_S: Final = 2.0
 LINGER_S: Final = 30.0
-"""A follower whom nobody looks at any more is kept for so long: a page loaded again finds it as it was."""
+"""Time (s) for which a follower without viewers is kept, so that a reloaded page finds it again."""
 
 JUDGED_AT_ONCE: Final = 20
-"""So many readings are judged before what was found is sent: opening a long run shows the rest meanwhile."""
+"""Number of readings judged between updates, so that a long run can be viewed while it is judged."""
 
 Add = Callable[[Path], dict[str, Any]]
-"""What is told of a run beside its record, by its folder: who is in control."""
+"""A function that returns further data on the run in a folder: who is in control."""
 
 
 def as_event(name: str, data: Any) -> bytes:
@@ -277,11 +280,11 @@ class SharedFollower:
         await self._ready.wait()
 
     def stop(self) -> None:
-        """Follow no more."""
+        """Stop following the run."""
         self._task.cancel()
 
     async def wait(self, version: int) -> bool:
-        """Wait until something is new to who saw this version, a heartbeat at most; say whether something is."""
+        """Wait, at most a heartbeat, for a version newer than `version`; return whether there is one."""
         if self.version == version:
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._news.wait(), BEAT_S)
@@ -306,7 +309,7 @@ class SharedFollower:
             await asyncio.sleep(0.0 if judging else LOOK_S)
 
     def _look(self) -> bool:
-        """Read what is new; say whether there is something to be sent."""
+        """Read new events; return whether there is an update to send."""
         if self._follower is None:
             self._follower = Follower(self._folder)
         follower = self._follower
@@ -328,7 +331,7 @@ class SharedFollower:
 
 
 class Followers:
-    """The followers of the runs that somebody looks at. Lives in one event loop."""
+    """The followers of the runs with viewers; all belong to one event loop."""
 
     def __init__(self, add: Add = lambda folder: {}) -> None:
         self._add = add
@@ -343,7 +346,7 @@ class Followers:
             self._leave(folder, shared)
 
     async def prompt(self, folder: Path) -> AskedPrompt | None:
-        """Return the question of a run that stands. Raises `RecordError` where its record cannot be read."""
+        """Return the open question of a run. Raises `RecordError` where its record cannot be read."""
         shared = await self._of(folder)
         try:
             return shared.prompt
@@ -351,7 +354,7 @@ class Followers:
             self._leave(folder, shared)
 
     async def stream(self, folder: Path) -> AsyncIterator[bytes]:
-        """Yield server-sent events of a run as long as they are taken. Raises `RecordError` before the first."""
+        """Yield server-sent events of a run to one viewer. Raises `RecordError` before the first."""
         shared = await self._of(folder)
         try:
             told, sent = PlottedPoints(), b""
@@ -372,7 +375,7 @@ class Followers:
             self._leave(folder, shared)
 
     def close(self) -> None:
-        """Follow no run any more."""
+        """Stop following all runs."""
         for shared in self._shared.values():
             shared.stop()
         self._shared.clear()

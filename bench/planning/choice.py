@@ -1,7 +1,7 @@
 """How long a run until it is good enough will take: its distribution over the noise, before the run.
 
-A run's choices depend on its readings by the size of the noise alone, of which readings tell as chi-square does of
-their degrees of freedom. So a run is drawn by a few numbers, and the choices are those of `Chooser` itself."""
+The choices of a run depend on its readings only through the estimated noise, which has a chi-square
+distribution. So a few random numbers simulate a run, and `Chooser` itself makes the choices."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ from bench.readings.table import Readings
 
 DRAWS: Final = 100
 GRAIN: Final = 0.1
-"""Noise is drawn to so much of itself: choices are found once for all draws that agree in it."""
+"""Relative step to which noise is rounded: choices are computed once for all draws with the same step."""
 QUANTILES: Final = (0.05, 0.5, 0.95)
 _OF_ONE_MOUNTING: Final = 9
-"""Coefficients that readings in one mounting determine; in two and more all are."""
+"""Number of coefficients that readings in one mounting determine; two mountings determine all."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def _run(
 def _after(
     chooser: Chooser, before: Standing, choice: NextPoints, done: Counter[Site], sums: Any, spent_s: float
 ) -> Standing:
-    """What the record says after a pass, the noise told to a grain."""
+    """Return the state of the run after a pass, with the noise rounded to its grain."""
     chi2, dof = sums[0] + sums[1]
     size = _grained(NoiseScale(float(chi2), int(dof)).size)
     taken = before.taken | {point.steps[0] for point in choice.points}
@@ -122,7 +122,7 @@ def _after(
 
 
 def _reached(chooser: Chooser, standing: Standing, stated: float) -> tuple[Reached, ...]:
-    """What a calibration would state at noise of that size; nothing where the coefficients are not determined."""
+    """Return the progress of the goals at noise `stated`; empty for undetermined coefficients."""
     task = chooser.task(standing)
     goals = tuple(wanted.ahead for wanted in chooser.aim.wanted)
     rows = type(task.candidates)(task.grid.rows / stated)
@@ -136,7 +136,7 @@ def _reached(chooser: Chooser, standing: Standing, stated: float) -> tuple[Reach
 
 
 def _freedom(done: Counter[Site]) -> tuple[int, int]:
-    """Degrees of freedom of the noise by repeats, and by what the model leaves beyond them."""
+    """Return the degrees of freedom of the noise from repeats, and from the other residuals of the model."""
     readings, groups = sum(done.values()), len(done)
     mounts = len({site.mount for site in done})
     unknown = min(_OF_ONE_MOUNTING * mounts, FIXED)
@@ -148,7 +148,7 @@ def _grained(size: float) -> float:
 
 
 def _scale_of(size: float, dof: int) -> NoiseScale:
-    """Return the scale whose size is this."""
+    """Return the noise scale whose estimate is `size`."""
     return NoiseScale(size**2 * (BELIEVED + dof) - BELIEVED, dof)
 
 
@@ -179,7 +179,7 @@ class NoiseScale:
 
 
 NOTHING_KNOWN: Final = NoiseScale()
-"""Before there is a reading: what the bench file states."""
+"""The scale of the noise before the first reading: the noise stated in the bench file."""
 
 
 def scale_of(stand: Stand, readings: Readings) -> NoiseScale:
@@ -249,7 +249,7 @@ class Standing:
 
 @dataclass(frozen=True)
 class NextPoints:
-    """What is done next: `points` of the mounting number `visit`; nothing, where `stop` says why.
+    """The next points to measure: `points` of the mounting number `visit`; none where `stop` says why.
 
     `left_out` are steps that are passed over and not needed, as it stands; a later choice may take some of
     them up, as long as the block stays on, which are then `taken_up`. `now` is the goal that is furthest
@@ -278,7 +278,7 @@ class NextPoints:
     telling_apart: bool = False
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as an event tells it."""
+        """Return the choice as JSON for an event of the record."""
         told: dict[str, Any] = {
             "visit": self.visit,
             "settings": self.settings,
@@ -336,7 +336,7 @@ class Chooser:
         self._grids: dict[frozenset[Site], Grid] = {}
 
     def choose(self, standing: Standing) -> NextPoints:
-        """Return what is done next, or why nothing more is."""
+        """Return the next points to measure, or the reason to stop."""
         task = self.task(standing)
         if stop := self._stop(standing, task):
             return self._no_more(standing, task, stop)
@@ -357,7 +357,7 @@ class Chooser:
     def _batch(
         self, standing: Standing, task: DesignTask, design: VisitDesign, number: int
     ) -> tuple[PlannedPoint, ...]:
-        """The points of a visit that are measured next: each site that the design goes to once."""
+        """Return the points of a visit to measure next: one for each site of the design."""
         planned = zip(task.grid.sites, (design.counts - task.done).tolist(), strict=True)
         sites = {site for site, count in planned if count > 0}
         points = []
@@ -370,7 +370,7 @@ class Chooser:
     # --- what there is ------------------------------------------------------------------------------
 
     def open_points(self, number: int, standing: Standing) -> list[PlannedPoint]:
-        """The points of a visit that can still be measured."""
+        """Return the points of a visit that can still be measured."""
         visit = self.pool.visits[number]
         if number < standing.visit or visit.mount in standing.refused_mounts:
             return []
@@ -381,7 +381,7 @@ class Chooser:
         ]
 
     def task(self, standing: Standing) -> DesignTask:
-        """Return what a design is to be made from."""
+        """Return the task of a design for the present state of the run."""
         reads: dict[Site, int] = dict.fromkeys(standing.done, 1)
         seconds: dict[Site, float] = {}
         for point in self.pool.points:
@@ -409,11 +409,11 @@ class Chooser:
         )
 
     def _rest_s(self, standing: Standing) -> float:
-        """The time of what is done whatever is chosen, as far as it is still to come."""
+        """Return the remaining time of the steps that are done whatever is chosen, s."""
         return self.pool.always_s if standing.visit < 0 else self.pool.after_s
 
     def _is_left_for_good(self, standing: Standing) -> bool:
-        """Whether there are mountings to come, from which there is no way back to the one that the block is in."""
+        """Return whether further mountings follow, so that the present one is not returned to."""
         ahead = range(max(standing.visit, 0) + 1, len(self.pool.visits))
         return any(self.open_points(number, standing) for number in ahead)
 
@@ -424,7 +424,7 @@ class Chooser:
         return self._grids[key]
 
     def _goals(self, standing: Standing, grid: Grid, done: Ints) -> tuple[Any, ...]:
-        """The goals, each in proportion to what a calibration of the readings so far states of it."""
+        """Return the goals, each scaled to the u that a calibration of the readings so far states."""
         ahead = tuple(wanted.ahead for wanted in self.aim.wanted)
         if not standing.reached:
             return ahead
@@ -440,7 +440,7 @@ class Chooser:
     # --- what is chosen -----------------------------------------------------------------------------
 
     def _stop(self, standing: Standing, task: DesignTask) -> str:
-        """Say why nothing more is done; empty where something is."""
+        """Return the reason to stop; empty where the run goes on."""
         if not np.any(task.left):
             return REACHED if self._is_reached(standing) else USED_UP
         repeats = int(np.sum(np.maximum(task.done - 1, 0)))
@@ -494,7 +494,7 @@ class Chooser:
         )
 
     def _passed_over(self, standing: Standing, number: int, last: int) -> frozenset[int]:
-        """The steps that lie before the last one of what is chosen, and are not done."""
+        """Return the steps before the last chosen one that are not measured."""
         steps: set[int] = set()
         for other, visit in enumerate(self.pool.visits[: number + 1]):
             steps.update(
@@ -508,7 +508,7 @@ class Chooser:
         return frozenset(steps)
 
     def _foreseen(self, task: DesignTask, counts: Ints) -> Reached | None:
-        """The worst goal after visits to the sites; None where these do not determine the coefficients."""
+        """Return the worst goal after visits to the sites; None where the coefficients are not determined."""
         visits = Visits(task.candidates, task.goals, counts, counts, counts)
         if not visits.determined:
             return None
@@ -541,7 +541,7 @@ class Chooser:
 MOST: Final = 4
 """Settings that are chosen at once to distinguish effects."""
 WORTH: Final = 0.5
-"""A setting with less than this part of the first one's information is not chosen."""
+"""A setting with less than this fraction of the first one's information is not chosen."""
 
 
 def telling_apart(

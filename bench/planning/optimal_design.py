@@ -24,7 +24,7 @@ from bench.model.geometry import COEFFICIENTS
 from bench.planning.requirements import Setting, conditions_of
 
 DIRECTIONS: Final = 128
-"""Directions over which an acceleration is taken."""
+"""Number of directions over which the goals of a measured acceleration are evaluated."""
 WHOLE: Final = 10.0
 LEAST_WHOLE_G: Final = 1e-3
 """Limits of the loose goal on the whole block: so many times what the goals ask, at least 1 mg."""
@@ -32,9 +32,9 @@ LEAST_WHOLE_G: Final = 1e-3
 
 @dataclass(frozen=True)
 class Goal:
-    """Functionals (k, 12) of the coefficients, whose variances add up, and the u that is asked for.
+    """A goal: linear functionals (k, 12) of the coefficients, whose variances add up, and the u asked for.
 
-    `floor` is what no calibration takes away, as a variance: the noise of the reading that is judged, at the
+    `floor` is the variance that no calibration lowers: the noise of the reading that is judged, at the
     verification point `judged`, and in a plan what no reading shows. A `loose` goal only keeps a plan a
     calibration of the whole block.
     """
@@ -64,7 +64,7 @@ class Goal:
         return replace(self, asked=max(self.asked, 2.0 * float(np.sqrt(endless)))) if self.loose else self
 
     def tightened(self, wider2: float) -> Goal:
-        """Return the goal that allows so many times less variance above the floor."""
+        """Return the goal with the variance allowed above the floor divided by a factor."""
         return replace(self, asked=float(np.sqrt(self.floor + (self.asked**2 - self.floor) / wider2)))
 
 
@@ -195,7 +195,7 @@ class SettingPool:
 
     @cached_property
     def information(self) -> Floats:
-        """What one visit to each candidate adds, shape (c, p, p)."""
+        """Information that one visit to each candidate adds, shape (c, p, p)."""
         return np.asarray(np.einsum("cip,ciq->cpq", self.rows, self.rows))
 
 
@@ -251,7 +251,7 @@ class ExchangeDesign:
         return self._largest(variances)
 
     def limit(self) -> float:
-        """Return the largest ratio that is left when every candidate is visited without end."""
+        """Return the largest ratio in the limit of infinitely many visits to every candidate."""
         return self._largest(self._variances(self.covariance(np.full(len(self._rows), _MANY))))
 
     @property
@@ -263,12 +263,12 @@ class ExchangeDesign:
     # --- moves --------------------------------------------------------------------------------------
 
     def add_best(self) -> None:
-        """Visit once more the candidate that helps most."""
+        """Add a visit to the candidate that lowers the score most."""
         gain = self._after(self.covariance(), 1.0, _POWERS[0])
         self.counts[int(np.argmin(np.where(self.counts < self._most, gain, np.inf)))] += 1
 
     def drop_least(self) -> None:
-        """Leave out the visit that matters least."""
+        """Remove the visit whose removal raises the score least."""
         loss = self._after(self.covariance(), -1.0, _POWERS[-1])
         loss[self.counts <= self._least] = np.inf
         self.counts[int(np.argmin(loss))] -= 1
@@ -331,12 +331,12 @@ class ExchangeDesign:
 
 
 def widening(freedom: float) -> float:
-    """Return how much larger an uncertainty is whose noise is estimated with so many degrees of freedom."""
+    """Return the factor by which noise estimated with so many degrees of freedom widens an uncertainty."""
     return Noise(1.0, 1.0, max(float(freedom), 1.0), "residuals").widened().reading
 
 
 def least_settings(candidates: SettingPool) -> int:
-    """Return the fewest settings that tell the coefficients, the angles of the mountings and the noise."""
+    """Return the fewest settings that determine coefficients, angles of the mountings and the noise."""
     return -(-(candidates.unknowns + LEAST_FREEDOM) // 3)
 
 
@@ -390,12 +390,12 @@ def fewest(candidates: SettingPool, goals: Sequence[Goal], mounts: int, most: in
 
 
 WITHOUT_NOISE: Final = 1e-4
-"""The noise of endlessly many readings, as a part of that of one."""
+"""Noise of the limit of infinitely many readings, as a fraction of the noise of one."""
 
 
 @dataclass(frozen=True)
 class Stand:
-    """The bench as planning sees it: model, block, standard uncertainties of the stand errors (rad, V).
+    """The bench for planning: model, block, standard uncertainties of the stand errors (rad, V).
 
     `known` is what was learned of stand and noise in their place; `hidden` are the errors in a calibration's
     combined u that no reading shows; `meters` numbers the voltmeter of each channel.

@@ -43,13 +43,13 @@ _EVENLY_MOST: Final = 4
 """Settings are spread evenly over so many times those that a search found."""
 _PARTS_TOLD: Final = 3
 _PART_NAMED: Final = 0.01
-"""Of what no reading lowers so many parts are named, those with more than this part of the largest variance."""
+"""So many sources that no reading lowers are named, if above this fraction of the largest variance."""
 _ROUNDS: Final = 4
-"""Searches until the goals are reached with the noise that repeats and residuals will really tell."""
+"""The most searches until the goals are reached with the noise that repeats and residuals will estimate."""
 
 
 class Sites:
-    """Everywhere that the head may stand: each of `mounts` at each of the angles `angle_rad` (a,)."""
+    """All settings that may be chosen: each of `mounts` at each of the angles `angle_rad` (a,)."""
 
     def __init__(self, stand: Stand, mounts: Sequence[Mounting], angle_rad: Floats) -> None:
         self.mounts = tuple(mounts)
@@ -93,7 +93,7 @@ class Sites:
 
 
 def _kinds(model: ForwardModel, mounts: Sequence[Mounting], angle_rad: Floats) -> list[tuple[float, ...]]:
-    """A key for each mounting, the same where they come to the same; each its own where the turn is not whole."""
+    """Return a key for each mounting, equal for equivalent ones; all differ at unsymmetric angles."""
     turned = np.exp(1j * np.concatenate([angle_rad, -angle_rad, np.pi - angle_rad]))
     if len(np.unique(np.round(turned, 6))) > len(angle_rad):
         return [(float(i),) for i in range(len(mounts))]
@@ -134,7 +134,7 @@ class ChosenPoints:
         return goal.u(self.promise.readings)
 
     def worst_by_name(self) -> list[Goal]:
-        """Return of goals with the same name (directions of an acceleration) the one furthest from reached."""
+        """Return for each name of goals (directions of an acceleration) the goal furthest from reached."""
         found: dict[str, Goal] = {}
         for goal in self.promise.goals:
             known = found.setdefault(goal.name, goal)
@@ -220,7 +220,7 @@ def cheapest(
 
 
 def _floored(stand: Stand, sites: Sites, goals: Sequence[Goal]) -> tuple[list[Goal], list[Goal]]:
-    """Return the goals, and with the floors of readings everywhere: at few points more goes through."""
+    """Return the goals, also with the floors of readings at all angles; few points have larger ones."""
     everywhere = sites.settings(range(len(sites.mounts)))
     try:
         endless = stand.budget([*everywhere, *checks_of(goals)], WITHOUT_NOISE)
@@ -241,7 +241,8 @@ def _evenly(
 ) -> ChosenPoints | None:
     """Return the fewest evenly spread settings that reach all goals.
 
-    The search knows what readings lower. Of what they do not, as K2 and K3, less goes through even points.
+    The search accounts for errors that readings lower. Evenly spread points reduce the effect of others, as
+    K2, K3.
     """
     candidates = sites.candidates(chosen)
     made = (_points(stand, sites, chosen, even(candidates, len(chosen), n), goals, cost) for n in settings)
@@ -353,12 +354,12 @@ VERIFICATION_DEG: Final = (45, 135, 225, 315)
 SAMPLES: Final = 10
 NPLC: Final = 10.0
 SETTLE_S: Final = 10.0
-"""A reading as the shipped procedures take it."""
+"""Settings of a reading in the shipped procedures, and the angles of their verification points."""
 
 
 @dataclass(frozen=True)
 class Times:
-    """What the operator and the bench take, s: a turn of the head, a mounting, settling after it, warm-up."""
+    """Times of operator and bench, s: a turn of the head, a mounting, settling after it, warm-up."""
 
     turn_s: float = 120.0
     mount_s: float = 1200.0
@@ -366,7 +367,7 @@ class Times:
     warm_up_s: float = HOUR
 
     def cost(self, line_hz: float, *, verified: bool) -> Cost:
-        """Return what settings and mountings cost; `verified` adds the verification points at the end."""
+        """Return the time of settings and mountings; `verified` adds the verification points at the end."""
         read = Read("", "", 1, 1, 1, None, None, SAMPLES, NPLC)
         setting_s = self.turn_s + SETTLE_S + Plan("", (), "").step_duration_s(read, line_hz)
         mount_s = self.mount_s + self.soak_s

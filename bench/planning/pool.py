@@ -1,4 +1,4 @@
-"""What a run until it is good enough may choose from, and which of it reaches the goals in the least time."""
+"""Points that an adaptive run may choose from, and the selection that reaches the goals in the least time."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _LEFT_OUT_WITH_IT: Final = (Level, Mount, Wait, Settle)
 
 
 class Site(NamedTuple):
-    """Where the head stands in a mounting, from which side it came: readings of one site are repeats."""
+    """A site: mounting, angle of the head and side of approach. Readings at one site are repeats."""
 
     mount: Mounting
     point: int
@@ -40,7 +40,7 @@ class Site(NamedTuple):
     direction: int
 
     def setting(self) -> Setting:
-        """Return it as a setting of the first pass."""
+        """Return the site as a setting of the first pass."""
         return Setting(self.mount, 1, self.point, self.angle_rad, self.direction)
 
 
@@ -59,7 +59,7 @@ class PlannedPoint:
 
     @property
     def last(self) -> int:
-        """Its last step."""
+        """The last step of the point."""
         return self.steps[-1]
 
 
@@ -79,15 +79,15 @@ class PlannedMounting:
 
     @property
     def first(self) -> int:
-        """The step at which it is decided what of it is done."""
+        """The step at which the points of the mounting are chosen."""
         return min(self.steps[:1] + self.points[0].steps[:1])
 
 
 @dataclass(frozen=True)
 class Pool:
-    """The visits of a plan in order, and what is done whatever is chosen.
+    """The visits of a plan in order, with their points to choose from.
 
-    `always_s` is the time of all else, `after_s` that of what follows on the last point.
+    `always_s` is the time of all other steps, which are always done, `after_s` the time after the last point.
     """
 
     visits: tuple[PlannedMounting, ...]
@@ -123,7 +123,7 @@ class Pool:
 
 
 def pool_of(plan: Plan, line_hz: float = 50.0) -> Pool:
-    """Return what of a plan may be left out.
+    """Return the pool of a plan: the points that may be left out.
 
     Raises `CalibrationError` for a plan that is no calibration at one temperature.
     """
@@ -202,7 +202,7 @@ def _visits(plan: Plan, found: Sequence[PlannedPoint], line_hz: float) -> tuple[
 
 _NO_PART: Final = 1e-6
 NO_GOAL: Final = 1e-12
-"""Asked for where nothing is but a time: never reached."""
+"""The u asked for where only a time limit is given: it is never reached."""
 
 
 @dataclass(frozen=True)
@@ -221,13 +221,13 @@ class UntilGoal:
 
     @property
     def name(self) -> str:
-        """What it is called, with what counts in it."""
+        """Name of the goal, with the kind of its uncertainty."""
         return f"combined u of {self.goal.name}" if self.combined else f"u of {self.goal.name}"
 
 
 @dataclass(frozen=True)
 class Aim:
-    """All that is wanted, and the bench time at most, s."""
+    """All goals of a run, and the longest bench time, s."""
 
     wanted: tuple[UntilGoal, ...]
     limit_s: float | None = None
@@ -235,7 +235,7 @@ class Aim:
 
 @dataclass(frozen=True)
 class Reached:
-    """How far a goal is reached: u by now (or to come) and what is asked, in `unit`."""
+    """The progress towards a goal: present (or expected) u and the u asked for, in `unit`."""
 
     name: str
     u: float
@@ -244,12 +244,12 @@ class Reached:
 
     @property
     def ratio(self) -> float:
-        """The uncertainty in units of what is asked."""
+        """The uncertainty divided by the one asked for."""
         return self.u / self.asked
 
 
 def reached_by(aim: Aim, readings: Floats, combined: Floats) -> tuple[Reached, ...]:
-    """Return what covariances (12, 12) of the coefficients, of the readings alone and combined, reach."""
+    """Return the progress of all goals from covariances (12, 12): of the readings alone, and combined."""
     return tuple(
         Reached(w.name, w.goal.u(combined if w.combined else readings), w.goal.asked, w.goal.unit)
         for w in aim.wanted
@@ -299,7 +299,7 @@ def with_hidden(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> Aim:
 
 _DETERMINED: Final = 1e-2
 MOST_SUBSETS: Final = 5
-"""With more mountings ahead, all of them are visited: their subsets would be too many to weigh."""
+"""With more mountings ahead than this, all are visited, since their subsets are too many to compare."""
 
 
 @dataclass(frozen=True)
@@ -318,7 +318,7 @@ class Grid:
         return cls(tuple(reads), rows * often[:, None, None])
 
     def counts(self, of: Mapping[Site, int]) -> Ints:
-        """Return how often each site is meant, (c,)."""
+        """Return the number of visits to each site, (c,)."""
         return np.array([of.get(site, 0) for site in self.sites], dtype=np.int64)
 
 
@@ -357,7 +357,7 @@ class Visits(ExchangeDesign):
 
     @property
     def wider(self) -> float:
-        """How much larger u is since the noise is an estimate."""
+        """The factor by which u is larger because the noise is estimated."""
         return widening(self._freedom)
 
     @property
@@ -369,7 +369,7 @@ class Visits(ExchangeDesign):
 
     @property
     def largest(self) -> float:
-        """The largest ratio of an uncertainty to what is asked."""
+        """The largest ratio of an uncertainty to the one asked for."""
         return self._largest(self.variances)
 
     @property
@@ -416,7 +416,7 @@ class Visits(ExchangeDesign):
 
 @dataclass(frozen=True)
 class DesignTask:
-    """What a design is made from: the grid, what was done and how often each site can still be visited.
+    """The input of a design: the grid, what was done and how often each site can still be visited.
 
     `scale` is the noise in units of what the bench file states, `site_s` (c,) the time of a visit to each site,
     `mount_s` what mounting takes where the block is not on yet, `repeats` the least number of repeats,
@@ -439,7 +439,7 @@ class DesignTask:
         return SettingPool(self.grid.rows / self.scale)
 
     def time_s(self, counts: Ints) -> float:
-        """Return the time of what `counts` (c,) has beyond what was done."""
+        """Return the time of the visits in `counts` (c,) that were not made yet, s."""
         more = counts - self.done
         mounts = {self.grid.sites[i].mount for i in np.flatnonzero(more)}
         return float(more @ self.site_s) + sum(self.mount_s.get(mount, 0.0) for mount in mounts)
@@ -480,7 +480,7 @@ def _of(grid: Grid, mount: Mounting) -> Ints:
 
 
 def _within(task: DesignTask, ahead: Sequence[Mounting], chosen: Sequence[Mounting]) -> VisitDesign | None:
-    """The design that goes to some of the mountings ahead; None where that can never be enough."""
+    """Return the design for some of the mountings ahead; None where they can never be enough."""
     left = task.left.copy()
     for mount in ahead:
         if mount not in chosen:
@@ -513,7 +513,7 @@ def _greedy(task: DesignTask, most: Ints, repeats: int, *, wide: bool) -> Visits
 
 
 def _all_of(task: DesignTask) -> VisitDesign:
-    """All that is left, or the best of it that the time allows: repeats are kept as far as it does."""
+    """Return all remaining visits, or the best that the time allows, with as many repeats as it allows."""
     most = task.done + task.left
     if task.time_s(most) <= task.limit_s:
         whole = Visits(task.candidates, task.goals, most, task.done, most)

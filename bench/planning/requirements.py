@@ -1,4 +1,4 @@
-"""Settings of the head that a plan foresees, and what would show that which they leave open."""
+"""Settings of the head in a plan, the unknowns that they do not determine, and further points that would."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Cost:
 
     @classmethod
     def of_plan(cls, plan: Plan, line_hz: float = 50.0) -> Cost:
-        """Return what one more setting and one more mounting take in a plan."""
+        """Return the time of one more setting and one more mounting in a plan."""
         reading_s = next((plan.step_duration_s(s, line_hz) for s in plan.steps if isinstance(s, Read)), 0.0)
         setting_s = plan.operator_time.turn_s + _settling_s(plan) + reading_s
         return cls(setting_s, plan.operator_time.mount_s)
@@ -103,7 +103,7 @@ class Cost:
 
 
 def _settling_s(plan: Plan) -> float:
-    """What is waited for between a turn and its reading, at the first turn of the plan, s."""
+    """Return the settling time between a turn and its reading, from the first turn of the plan, s."""
     seconds = 0.0
     turned = False
     for step in plan.steps:
@@ -119,7 +119,7 @@ ANGLES: Final = ("axis_tilt", "zero_offset", "mounting_error", "mounting_roll")
 """The stand angles that every mounting has, whatever their size."""
 
 THIRD: Final = Installation.from_axes("3", ("y", "z", "x"))
-"""The block's x along the shaft, as neither of the paper's installations has it."""
+"""The installation with the block's x along the shaft, which is none of the paper's two."""
 
 MOST_MOUNTINGS: Final = 24
 
@@ -132,7 +132,7 @@ _SHIPPED: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True)
 class Remedy:
-    """Something more to measure: `determines` of the open directions it closes, in `cost_s` of bench time."""
+    """A further measurement: `determines` of the open directions it closes, in `cost_s` of bench time."""
 
     text: str
     determines: int
@@ -141,7 +141,7 @@ class Remedy:
 
 @dataclass(frozen=True)
 class Outlook:
-    """What planned readings determine of coefficients and stand, and what would determine more of it.
+    """The coefficients and stand angles that planned readings determine, and remedies for the others.
 
     `remedies` are those that close a direction, the cheapest first.
     """
@@ -189,7 +189,7 @@ def outlook(settings: Sequence[Setting], model: ForwardModel, block: Block, cost
 
 
 def _distinct(settings: Sequence[Setting]) -> list[Setting]:
-    """Settings that differ in more than the pass: a repeat adds nothing to the rank."""
+    """Return the settings without repeats, which add nothing to the rank."""
     distinct = list({(s.mount, s.angle_rad): s for s in reversed(settings)}.values())[::-1]
     if len({s.mount for s in distinct}) <= MOST_MOUNTINGS:
         return distinct
@@ -255,7 +255,7 @@ Each point (a verification point, a direction) has to keep to the accuracy.
 """
 
 BEYOND: Final[Mapping[str, float]] = {"rad": math.radians(5.0), "V": 10.0, "K": 100.0, "1": 1.0}
-"""Standard uncertainties that no bench has, by unit: what holds for them holds without limit."""
+"""Standard uncertainties larger than those of any bench, by unit; a larger limit counts as infinite."""
 _DIRECTIONS: Final = 100
 _PRECISE: Final = 1e-8
 _ROUNDS: Final = 60
@@ -307,7 +307,7 @@ def of_acceleration(magnitude_g: float, *, reading: bool, modulus: bool) -> Targ
 
 @dataclass(frozen=True)
 class Limit:
-    """How large the standard uncertainty `u` of a source may be.
+    """The limit of the standard uncertainty `u` of a source.
 
     Infinite where any size will do, None where the accuracy cannot be reached with a size of zero.
     """
@@ -332,7 +332,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class Requirement:
-    """What is required: that `k` standard uncertainties of a target keep to `accuracy`.
+    """A requirement: `k` standard uncertainties of a target do not exceed `accuracy`.
 
     The coefficients come from the readings of `setup` by `estimator`.
     """
@@ -389,7 +389,7 @@ class Requirement:
     # --- each alone ---------------------------------------------------------------------------------
 
     def alone(self, source: ErrorSource) -> Limit:
-        """Return how large one source may be, the others being as the bench has them."""
+        """Return the limit of one source, with all others at the bench's own sizes."""
 
         def excess(u: float) -> float:
             return float(self.variances({source.name: u}).sum()) / self.allowed2 - 1.0
@@ -492,5 +492,5 @@ class Requirement:
 
 
 def _factor(variance: float, allowed: float) -> float:
-    """By how much a size may change for its variance to become what is allowed."""
+    """Return the factor on a size that brings its variance to the allowed one."""
     return math.sqrt(allowed / variance) if variance > 0.0 else math.inf

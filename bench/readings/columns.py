@@ -54,18 +54,18 @@ def _character(escape: str) -> str:
 
 
 OVERLOAD: Final = 9.0e37
-"""What a meter shows that is overloaded is larger, V (34401A User's Guide, chapter 3)."""
+"""The largest voltage of a reading, V: an overloaded meter shows more (34401A User's Guide, chapter 3)."""
 
 ABSOLUTE_ZERO_C: Final = -273.15
 HOTTEST_C: Final = 200.0
-"""No chamber of a bench is hotter; room temperature in kelvin is."""
+"""The highest temperature, °C: above that of any chamber, below room temperature in kelvin."""
 
 MOST: Final = 1_000_000
-"""No run has more passes, points, series or samples; what is larger stood in another column."""
+"""The largest count of passes, points, series or samples; a larger number belongs to another column."""
 
 
 class BadCell(ValueError):
-    """One cell that cannot be read: which column, what was expected."""
+    """A cell that cannot be read, with its column and the expected content."""
 
     def __init__(self, column: str, problem: str) -> None:
         super().__init__(problem)
@@ -106,7 +106,7 @@ def number(
 
 
 def temperature(text: dict[str, str], column: str) -> float:
-    """Return a temperature, °C, NaN of an empty cell. Raises `BadCell` for one that no bench has."""
+    """Return a temperature, °C, NaN for an empty cell. Raises `BadCell` for an impossible one."""
     expected = f"a temperature in °C from {ABSOLUTE_ZERO_C:g} to {HOTTEST_C:g}"
     return number(
         text, column, expected, optional=True, least=ABSOLUTE_ZERO_C, most=HOTTEST_C,
@@ -156,7 +156,7 @@ def _quoted(cell: str) -> str:
 ANGLES: Final = ("alpha1_arcsec", "alpha2_arcsec", "u_alpha1_arcsec", "u_alpha2_arcsec")
 """The columns of a levelling: the platform's angles while the block is mounted, and their u."""
 DRIFTS: Final = ("drift_alpha1_arcsec_h", "drift_alpha2_arcsec_h")
-"""How fast the platform moved where it was read again, root mean square: the same in all rows of a run."""
+"""The columns of the platform's rate of tilt from repeated readings, rms: equal in all rows of a run."""
 LEVEL_COLUMNS: Final = (*ANGLES, *DRIFTS)
 
 
@@ -178,7 +178,7 @@ def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
 
 
 def drift_rad_s(extra: Mapping[str, Labels]) -> tuple[float, float] | None:
-    """Return how fast the platform was seen to move, rad/s; None where nobody looked again."""
+    """Return the rate of the platform's tilt, rad/s; None where the level was not read again."""
     if not all(name in extra for name in DRIFTS):
         return None
     rates = [[float(cell) for cell in extra[name].tolist() if cell.strip()] for name in DRIFTS]
@@ -189,7 +189,7 @@ def drift_rad_s(extra: Mapping[str, Labels]) -> tuple[float, float] | None:
 
 
 def wrong_level_cell(text: Mapping[str, str]) -> tuple[str, str] | None:
-    """Return column and mistake of a row that no level showed; None for a good one."""
+    """Return the first invalid level column of a row and its mistake; None for a good row."""
     for name in LEVEL_COLUMNS:
         cell = text.get(name, "").strip()
         try:
@@ -224,7 +224,7 @@ def current_column(rail: str) -> str:
 
 
 def is_of_a_rail(column: str) -> bool:
-    """Whether a column is one of these."""
+    """Return whether a column is one of a rail: voltage, nominal voltage or current."""
     return _COLUMN.fullmatch(column) is not None
 
 
@@ -256,14 +256,14 @@ def _numbers(cells: Labels) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Rail:
-    """What a rail has, V with its sign, what it is to have, V, and what it gives, A."""
+    """A supply rail of the block: measured voltage, V with sign, nominal voltage, V, and current, A."""
 
     voltage_v: float
     nominal_v: float
     current_a: float
 
     def to_json(self) -> dict[str, float]:
-        """Return it as an event holds it."""
+        """Return the rail as JSON for an event of the record."""
         return {"voltage_v": self.voltage_v, "nominal_v": self.nominal_v, "current_a": self.current_a}
 
     @classmethod
@@ -276,7 +276,7 @@ class Rail:
 
 
 def between(before: Mapping[str, Rail], after: Mapping[str, Rail]) -> dict[str, Rail]:
-    """Return what is recorded of rails that were looked at before a reading and after it: the means."""
+    """Return the rails of a reading: the means of a measurement before it and one after it."""
     return {
         name: Rail(
             (rail.voltage_v + after[name].voltage_v) / 2.0,
@@ -300,7 +300,7 @@ def columns_of(taken: Sequence[Mapping[str, Rail]]) -> dict[str, list[str]]:
 
 
 def ranges_in_words(extra: Mapping[str, Sequence[str]]) -> str:
-    """Say from which to which voltage and current each rail was at the readings; empty where there is no rail.
+    """Return the ranges of voltage and current of each rail in words; empty without rails.
 
     `extra` are the text columns of a table.
     """

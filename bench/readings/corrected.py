@@ -1,4 +1,4 @@
-"""Readings put right: for known errors of instruments, for what a level showed, for mistakes made at a bench."""
+"""Corrections of readings: known errors of instruments, tilt of the platform, mistakes made at a bench."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from drivers.angles import SLIPS
 # --- corrections ------------------------------------------------------------------------------------
 
 Curve = tuple[tuple[float, float], ...]
-"""Where corrections are known, rising, and the correction there; straight between."""
+"""A table of corrections: rising positions and the correction at each; linear between them."""
 
 VOLTS: Final = "V"
 AGAIN: Final = 4
-"""A correction changes little within itself: so many rounds find from what value it was."""
+"""Iterations that invert a correction, which changes little over its own size."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def corrected(readings: Readings, by: Corrections) -> Readings:
 
 
 def as_read(readings: Readings, by: Corrections) -> Readings:
-    """Return what the instruments showed: that which is `readings` once these corrections are added."""
+    """Return the uncorrected readings, from which these corrections make `readings`."""
     if not readings.corrected or not by:
         return readings
     angle_rad, temperature_c = readings.angle_rad, readings.temperature_c
@@ -224,7 +224,7 @@ class MistakeName(StrEnum):
 
 @dataclass(frozen=True)
 class Wiring:
-    """How the signals are wired to the channels.
+    """The wiring of the signals to the channels.
 
     `order` has for each true signal x, y, z the channel (0, 1, 2) that shows it, `signs` by what it is to be
     multiplied then.
@@ -235,38 +235,38 @@ class Wiring:
 
     @property
     def matrix(self) -> Floats:
-        """What makes a triple of signals right, (3, 3)."""
+        """The matrix (3, 3) that corrects a triple of signals."""
         return np.diag(self.signs) @ np.eye(3)[list(self.order)]
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The channels that do not show what they should."""
+        """The channels that show a wrong signal or sign."""
         return tuple(CHANNELS[i] for i in range(3) if self.order[i] != i or self.signs[i] < 0)
 
     @property
     def shown(self) -> str:
-        """Say which channel shows which signal: "x shows z, y shows x, z shows y"."""
+        """The sentence on which channel shows which signal: "x shows z, y shows x, z shows y"."""
         return ", ".join(f"{CHANNELS[i]} shows {CHANNELS[self.order.index(i)]}" for i in range(3))
 
 
 RIGHT: Final = Wiring()
-"""As it should be."""
+"""The right wiring: each channel shows its own signal."""
 
 EXCHANGED: Final = tuple(Wiring(order) for order in ((1, 0, 2), (2, 1, 0), (0, 2, 1), (2, 0, 1), (1, 2, 0)))
-"""Two channels exchanged, or all three in turn."""
+"""Wirings with two channels exchanged, or all three in turn."""
 
 REVERSED: Final = tuple(
     Wiring(signs=signs) for signs in ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0))
 )
-"""One channel reversed."""
+"""Wirings with one channel reversed."""
 
 OPPOSITE_RAD: Final = float(np.pi)
 SLIPS_RAD: Final = {
     slip.size: float(np.radians(slip.degrees)) for slip in SLIPS if np.radians(slip.degrees) < OPPOSITE_RAD
 }
-"""By how much the head is off, to either side, where a line of its scale was taken for another, by its name."""
+"""Errors of the head, rad, to either side, for each common slip in reading its scale, by name."""
 
 
 def reflected_rad(angle_rad: Floats) -> Floats:
-    """By how much the head is off where 360° - φ was taken for φ, by the shorter way."""
+    """Return the error of the head, rad, where 360° - φ was read for φ, by the shorter way."""
     return np.remainder(-2 * angle_rad + np.pi, 2 * np.pi) - np.pi

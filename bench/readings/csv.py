@@ -51,7 +51,7 @@ LISTED_AT_ONCE: Final = 20
 REQUIRED: Final = ("installation", "pass", "point", "angle_deg")
 OPTIONAL: Final = ("series", "target_deg", "direction", "time_s", "temperature_c", "samples")
 AS_TEXT: Final = ("range_v", SCAN_ORDER, REFERENCE_V, TEMPERATURE_SOURCE, CHAMBER_C, *LEVEL_COLUMNS)
-"""Promised columns that no number is made of here."""
+"""Documented columns that stay text."""
 
 
 class ReadingsError(ValueError):
@@ -357,7 +357,7 @@ def _text(value: float) -> str:
 
 
 ROUNDED: Final = 16
-"""A sum of some samples may be off by so many steps of its last bit."""
+"""Rounding error of a sum of samples, in units of its last bit."""
 
 
 def _signal(value: float) -> str:
@@ -386,7 +386,7 @@ def _time(readings: Readings, lines: Sequence[int]) -> list[str]:
 
 
 def _scatter(readings: Readings, lines: Sequence[int]) -> list[str]:
-    """Doubt a scatter within one reading that exceeds all that the readings differ by."""
+    """Return a doubt where the scatter within a reading exceeds the whole range of the readings."""
     told = []
     for i, axis in enumerate(CHANNELS):
         sd, span = readings.signal_sd[:, i], float(np.ptp(readings.signal[:, i]))

@@ -89,7 +89,7 @@ class Reading:
         return f"installation {self.installation}, pass {self.pass_number}, point {self.point}"
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as an event holds it."""
+        """Return the reading as JSON for an event of the record."""
         own = {_KEYS.get(name, name): value for name, value in asdict(self).items()}
         return {
             name: value
@@ -117,7 +117,7 @@ class Reading:
         return reading
 
     def _check(self) -> None:
-        """Raise `ValueError` or `TypeError` where what is reckoned with is no number, or not as many."""
+        """Raise `ValueError` or `TypeError` for a wrong number of values, or one that is no number."""
         if not len(self.mean) == len(self.sd) == len(CHANNELS):
             raise ValueError("a reading has three channels")
         for count in (self.series, self.pass_number, self.point, self.samples_taken):
@@ -148,15 +148,15 @@ _WHERE_KNOWN: Final = ("rails", "temperature_source", "chamber_c")
 """Written of a bench alone that has a supply, or a thermometer at the block."""
 
 _KEYS: Final = {"pass_number": "pass"}
-"""What is called otherwise in the record."""
+"""Fields that have another name in the record."""
 
 _LARGEST: Final = 2**31
 
 _RAILS: Final = "rails"
-"""What is left out of the record where there is none."""
+"""Fields that are left out of the record where they are empty."""
 
 _RECORDED: Final = tuple((of.name, _KEYS.get(of.name, of.name)) for of in fields(Reading))
-"""The fields of a reading with what they are called in the record."""
+"""The fields of a reading with their names in the record."""
 
 _NUMBERS: Final = frozenset({int, float})
 

@@ -24,7 +24,7 @@ FREE: Final = "F"
 SHORTED: Final = "S"
 REFERENCE: Final = "R"
 UNORIENTED: Final = frozenset({FREE, SHORTED, REFERENCE})
-"""Rows whose head angle means nothing and may be empty."""
+"""Kinds of rows without a meaningful head angle, which may be empty."""
 
 SCAN_ORDER: Final = "scan_order"
 """The extra column with the order in which the channels were read, such as "xyz"."""
@@ -47,7 +47,7 @@ UNITS: Final[Mapping[str, str]] = {"v": "V", "counts": "counts", "g": "g", "ms2"
 
 @dataclass(frozen=True)
 class Readings:
-    """Columns over n settled readings, in the order of measurement.
+    """A table of n settled readings as columns, in the order of measurement.
 
     `signal` (n, 3) is in `unit`; `angle_rad` is read back from the scale, `target_rad` what was asked for;
     both, `time_s` and `temperature_c` are NaN where not given; `direction` is +1, -1 or 0 (not known);
@@ -118,7 +118,7 @@ class Readings:
 
     @property
     def is_oriented(self) -> NDArray[np.bool_]:
-        """Where the block is mounted in an installation, and not for verification, shape (n,)."""
+        """True for rows with the block in an installation, but not for verification, shape (n,)."""
         return ~np.isin(self.installation, [VERIFICATION, *UNORIENTED])
 
     def oriented(self) -> Readings:
@@ -214,7 +214,7 @@ def make_readings(
 # --- several tables as one --------------------------------------------------------------------------
 
 BETWEEN_S: Final = 3600.0
-"""From the last reading of a table to the first of the next, s, where nobody knows better."""
+"""Assumed time from the last reading of a table to the first of the next, s."""
 
 
 @dataclass(frozen=True)
@@ -272,7 +272,7 @@ def together(parts: Sequence[JoinedPart]) -> Readings:
 
 
 def _clock_s(table: Readings) -> Floats:
-    """The time of each reading on the clock of the table, also where it is not known."""
+    """Return the time of each reading on the clock of the table, estimated where it is not given."""
     return table.time_s if table.began_s is not None else table.conditions().elapsed_s
 
 
@@ -302,7 +302,7 @@ def _first_s(table: Readings) -> float:
 
 
 def stacked(tables: Sequence[Readings], notes: tuple[str, ...] = ()) -> Readings:
-    """Return tables as one, one after another; what each says stands with its name."""
+    """Return tables joined one after another; the notes of each begin with its name."""
     columns: dict[str, Any] = {
         of.name: np.concatenate([getattr(table, of.name) for table in tables])
         for of in fields(Readings)

@@ -1,4 +1,4 @@
-"""The result of `bench batch`: which verdicts would be different, how far coefficients went; as JSON and text."""
+"""The result of `bench batch`: how verdicts and coefficients differ from the stored ones; as JSON and text."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from bench.base.result_model import ResultModel
 from bench.base.tables import table
 
 _ON_SCREEN: Final = 20
-"""Runs that a terminal lists; the tables of the batch have all."""
+"""Largest number of runs that a terminal lists; the tables of the batch list all."""
 
 
 class FileAsked(ResultModel):
-    """A file that was given."""
+    """A file that the batch was asked to use."""
 
     file: str
     sha256: str
 
 
 class ProgramPart(ResultModel):
-    """The program that made the results of now."""
+    """The versions of the program that computed the new results."""
 
     version: str
     python: str
@@ -34,7 +34,7 @@ class ProgramPart(ResultModel):
 
 
 class RunsPart(ResultModel):
-    """How many runs there are."""
+    """Numbers of runs in the batch."""
 
     listed: int = Field(description="runs that the patterns or the query find")
     done: int = Field(description="runs that have a row")
@@ -45,7 +45,7 @@ class RunsPart(ResultModel):
 
 
 class Counted(ResultModel):
-    """How many runs differ in something."""
+    """Numbers of runs whose new result differs from the stored one."""
 
     different: int = Field(description="runs of which it would be different")
     same: int = Field(description="runs of which it stays")
@@ -55,7 +55,7 @@ class Counted(ResultModel):
 
 
 class VerdictChange(ResultModel):
-    """How many runs go from one verdict to another."""
+    """Number of runs with a given stored verdict and a given new one."""
 
     stored: str
     now: str
@@ -64,7 +64,7 @@ class VerdictChange(ResultModel):
 
 
 class VerdictsPart(Counted):
-    """How many verdicts differ."""
+    """Numbers of runs whose new verdict differs from the stored one."""
 
     changes: list[VerdictChange] = Field(description="how many runs go from which verdict to which")
 
@@ -80,7 +80,7 @@ class ChangeInU(ResultModel):
 
 
 class RatioPart(ResultModel):
-    """u of now over the stored u."""
+    """Ratio of the new u to the stored u."""
 
     least: float
     most: float

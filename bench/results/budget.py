@@ -47,7 +47,7 @@ class ReadingCounts(ResultModel):
 
 
 class CoefficientPart(ResultModel):
-    """A coefficient, V/g or V."""
+    """A coefficient with its uncertainty, in V/g or V."""
 
     value: float
     u: float = Field(description="combined standard uncertainty")
@@ -94,7 +94,7 @@ class AccelerationPart(ResultModel):
 
 
 class VerificationPart(ResultModel):
-    """What the check at the verification points is worth."""
+    """How well the check at the verification points can judge a block."""
 
     limit_g: float
     rule: str
@@ -129,7 +129,7 @@ class OutputPart(ResultModel):
 
 
 class MonteCarloPart(ResultModel):
-    """The same by Monte Carlo on the exact geometry (JCGM 101, clause 8)."""
+    """The budget by Monte Carlo on the exact geometry (JCGM 101, clause 8)."""
 
     trials: int
     probability: float
@@ -140,7 +140,7 @@ class MonteCarloPart(ResultModel):
 
 
 class BudgetResult(ResultModel):
-    """What each error of the bench puts into each coefficient and into a measured acceleration."""
+    """The contribution of each error of the bench to each coefficient and to a measured acceleration."""
 
     bench: str
     bench_file: BenchPart
@@ -191,7 +191,7 @@ class BudgetResult(ResultModel):
                 out.print(f"note: {note}")
 
     def __repr__(self) -> str:
-        """Return the tables with what a reader should know."""
+        """Return the tables with the notes."""
         return f"{as_text(self.print_on)}\nbench: {self.bench_file.words}"
 
     def _repr_html_(self) -> str:
@@ -311,7 +311,7 @@ def _headline(result: BudgetResult) -> str:
 
 
 def _coefficient_table(result: BudgetResult) -> Table:
-    """Return source by coefficient, then combined u, effective degrees of freedom, U; "stand" is a part."""
+    """Return the table of sources by coefficient, with combined u, effective degrees of freedom and U."""
     shown = _table("source", *result.order)
     for row in _by_source(result):
         shown.add_row(row.head, *row.cells)
@@ -482,11 +482,11 @@ class BudgetFigure:
     alt: str
 
     def svg(self) -> str:
-        """Return it as an element for a page."""
+        """Return the figure as an SVG element for a page."""
         return svg_figure(self.name, self.inches, self.draw, self.alt)
 
     def save(self, folder: Path) -> tuple[Path, Path]:
-        """Draw it once, write it as SVG and as PNG, and return both files. Raises `OSError`."""
+        """Draw the figure once, write it as SVG and as PNG, and return both files. Raises `OSError`."""
         with drawn(self.name, self.inches, self.draw) as figure:
             svg, png = folder / f"{self.name}.svg", folder / f"{self.name}.png"
             figure.savefig(png, dpi=DOTS_PER_INCH)
@@ -563,7 +563,7 @@ def modulus(result: BudgetResult) -> BudgetFigure:
 
 
 def _gathered(shares: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Return the shares that can be seen, and all others as one."""
+    """Return the shares that are large enough to be seen, and the sum of all others."""
     seen = {source: share for source, share in shares.items() if np.max(share) >= VISIBLE}
     rest = sum((share for source, share in shares.items() if source not in seen), np.zeros(12))
     return {**seen, "others": rest} if np.any(rest > 0.0) else seen

@@ -47,13 +47,13 @@ class PerMs2Part(ResultModel):
 
 
 class WidenedFitPart(FitPart):
-    """Lack of fit against the repeats, and what it did to u."""
+    """Lack of fit against the repeats, and the factor by which it widens u."""
 
     birge: float = Field(description="by how much u is widened because the model does not fit; 1: not")
 
 
 class NoisePriorPart(ResultModel):
-    """Sizes of the noise stated before the readings, on which u rests."""
+    """The prior sizes of the noise, which u includes beside the readings."""
 
     reading_v: float = Field(description="of a reading, unit of the signal, 1 sigma")
     setting_arcsec: float
@@ -72,7 +72,7 @@ class NoisePriorPart(ResultModel):
 
 
 class ComponentPart(ResultModel):
-    """A variance that readings share."""
+    """A component of variance that several readings share."""
 
     what: str = Field(description="what shares it: setting, angle of a setting, visit, pass, drift")
     channels: str
@@ -85,7 +85,7 @@ class ComponentPart(ResultModel):
 
 
 class DriftPart(ResultModel):
-    """How the biases wander about their means over the run."""
+    """The drift of the biases about their means over the run."""
 
     hours: float
     rms: dict[str, float]
@@ -93,7 +93,7 @@ class DriftPart(ResultModel):
 
 
 class NoisePart(ChannelsPart):
-    """Sizes of the noise of a reading in x, y, z and of what readings share, one standard deviation."""
+    """The noise of a reading in x, y and z, and the noise that readings share, as standard deviations."""
 
     reading_v: float = Field(
         description="of a reading, root mean square of the three channels, unit of the signal"
@@ -140,7 +140,7 @@ class FreePositionPart(ResultModel):
 
 
 class FreePositionsPart(ResultModel):
-    """Free positions that joined by |a| = 1 g."""
+    """The free positions that joined the fit by |a| = 1 g."""
 
     used: int
     rms_g: float = Field(description="of |a| − 1 over all of them")
@@ -156,7 +156,7 @@ class ArrayWithU(ResultModel):
 
 
 class TriangularPart(ResultModel):
-    """Nine coefficients where no reading had a known orientation."""
+    """The nine coefficients that remain where no reading had a known orientation: K is triangular."""
 
     convention: str
     bias: ArrayWithU
@@ -173,7 +173,7 @@ class CertificateReadPart(ResultModel):
 
 
 class PriorPart(ResultModel):
-    """What units of the block's type told (`--prior`)."""
+    """The prior from units of the block's type (`--prior`), and its effect on the result."""
 
     file: str
     type: str = Field(description="of the units")
@@ -343,7 +343,7 @@ def _triangular(found: Triangular) -> dict[str, Any]:
 
 
 def headline(name: str, found: Calibration) -> str:
-    """Return a sentence on what was calibrated, and how."""
+    """Return a sentence that names the calibrated readings and the method."""
     readings = f"{len(found.fitted)} readings"
     if found.free is not None:
         readings += f", {len(found.free)} by their modulus"

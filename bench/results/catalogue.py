@@ -1,4 +1,4 @@
-"""The results of `bench catalogue`: a sync, an answer, a unit, what is due; as JSON, as text, a unit as a page."""
+"""The results of `bench catalogue`: sync, answers, units, due dates; as JSON, as text, a unit as a page."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ON_SCREEN: Final = 40
-"""Rows that a terminal shows; files have all."""
+"""Largest number of rows that a terminal shows; files have all rows."""
 
 _COLUMNS_ON_SCREEN: Final = {
     "runs": ("name", "created", "unit", "bench", "state", "verdict", "diagnosis", "problem"),
@@ -36,14 +36,14 @@ Row = dict[str, bool | int | float | str | None]
 
 
 class FolderProblem(ResultModel):
-    """A folder with a problem."""
+    """A folder with a problem that the sync found, and the reason."""
 
     path: str = Field(description="the folder")
     reason: str = Field(description="why it holds no run of the catalogue, or what is wrong with its run")
 
 
 class SyncResult(ResultModel):
-    """What a sync did, counted in folders."""
+    """The result of a sync of the catalogue, as numbers of run folders."""
 
     catalogue: str = Field(description="its file, or its URL without the password")
     added: int = Field(description="runs that were not there")
@@ -66,7 +66,7 @@ class SyncResult(ResultModel):
 
 
 class AskResult(ResultModel):
-    """The answer to a question."""
+    """The answer to a question to the catalogue: rows by column."""
 
     query: list[str] = Field(description="the words of the question")
     of: Literal[
@@ -87,7 +87,7 @@ class AskResult(ResultModel):
 
 
 class DuePart(ResultModel):
-    """When a unit is due."""
+    """The day when a unit is due for calibration, with the reason."""
 
     due: str = Field(description="the day")
     basis: Literal["drift", "interval"] = Field(
@@ -105,13 +105,13 @@ class DuePart(ResultModel):
 
 
 class UnitDue(DuePart):
-    """When a unit is due, with its name."""
+    """The day when a unit is due for calibration, with the name of the unit."""
 
     unit: str = Field(description="type and serial number")
 
 
 class DueResult(ResultModel):
-    """When units are due, the first first."""
+    """The days when units are due for calibration, the earliest first."""
 
     query: list[str] = Field(description="the words of the question")
     units: list[UnitDue]
@@ -150,7 +150,7 @@ class UnitCalibration(ResultModel):
 
 
 class UnitResult(ResultModel):
-    """What the catalogue knows of one unit."""
+    """The calibrations, runs and due date of one unit in the catalogue."""
 
     unit: str = Field(description="type and serial number")
     simulated: bool = Field(

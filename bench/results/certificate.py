@@ -15,7 +15,7 @@ from bench.base.text import visible
 
 
 class IssuedRun(ResultModel):
-    """What became of a run: its certificate, its draft, or why there is none."""
+    """The outcome for a run: its certificate, its draft, or the reason why there is none."""
 
     run: str
     number: str | None = Field(description="null for a draft, and where none was issued")
@@ -33,7 +33,7 @@ class IssuedRun(ResultModel):
 
 
 class CertificateResult(ResultModel):
-    """What became of each run."""
+    """The outcome of `bench certificate` for each run."""
 
     certificates: list[IssuedRun] = Field(description="one for each run, in their order")
 
@@ -62,7 +62,7 @@ class RegisteredCertificate(ResultModel):
 
 
 class RegisterResult(ResultModel):
-    """What was issued, and what of it is missing or changed."""
+    """The certificates in a register, and those of them that are missing or changed."""
 
     register_: str = Field(alias="register", description="its folder")
     head: str = Field(description="SHA-256 of the last line, which proves all lines before it")
@@ -98,7 +98,7 @@ class CertifiedCoefficient(ResultModel):
 
 
 class CertificateSays(ResultModel):
-    """What a certificate says."""
+    """The content of a certificate: laboratory, customer, items and coefficients."""
 
     number: str
     laboratory: str
@@ -135,7 +135,7 @@ class CertificateSays(ResultModel):
 
 
 class RegisterSays(ResultModel):
-    """What the laboratory's register says of a number."""
+    """The entry of the laboratory's register for a certificate number."""
 
     folder: str
     named: bool = Field(description="whether --laboratory named it; else it is beside the file")
@@ -154,14 +154,14 @@ class RegisterSays(ResultModel):
 
     @property
     def words(self) -> str:
-        """What is said behind the verdict; nothing of a certificate that holds."""
+        """The words after the verdict; empty for a certificate that holds."""
         if self.holds:
             return ""
         return f", {self.state.upper()} ({self.by})" if self.known else ", UNKNOWN TO THE REGISTER"
 
 
 class VerifyResult(ResultModel):
-    """What was found of a certificate."""
+    """The result of verifying a certificate."""
 
     file: str
     verdict: str = Field(
@@ -187,7 +187,7 @@ class VerifyResult(ResultModel):
     not_proved: list[str]
 
     def print_on(self, out: Console) -> None:
-        """Print the verdict; of a certificate that is not intact nothing but the reasons."""
+        """Print the verdict; for a certificate that is not intact, print only the reasons."""
         out.print(f"{self.file}: {self.verdict}")
         for why in self.wrong:
             out.print(f"  {visible(why)}")

@@ -1,4 +1,4 @@
-"""The result of `bench check`: what a procedure does on a bench, as JSON and as text."""
+"""The result of `bench check`: the steps of a procedure on a bench, and its mistakes; as JSON and as text."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _NEARLY_ALL: Final = 0.995
 
 
 class DiskPart(ResultModel):
-    """The disk that a run needs."""
+    """The disk space that a run needs, and the free space."""
 
     folder: str
     needed_bytes: int
@@ -50,7 +50,7 @@ class DirectionPart(ResultModel):
 
 
 class RemedyPart(ResultModel):
-    """What more could be measured."""
+    """A further measurement that would determine an open direction."""
 
     text: str
     determines: int = Field(description="how many combinations more it determines")
@@ -58,7 +58,7 @@ class RemedyPart(ResultModel):
 
 
 class ObservabilityPart(ResultModel):
-    """What the readings determine of coefficients and stand."""
+    """Which coefficients and stand errors the readings determine."""
 
     rank: int
     unknowns: int
@@ -69,7 +69,7 @@ class ObservabilityPart(ResultModel):
 
 
 class UntilPart(ResultModel):
-    """Bench time and settings of a run with goals, over the noise that the bench file states."""
+    """Bench time and number of settings of a run with goals, at the noise that the bench file states."""
 
     draws: int
     noise_of_stated: float
@@ -84,7 +84,7 @@ class UntilPart(ResultModel):
 
 
 class CheckResult(ResultModel):
-    """What a procedure does on a bench, and what its readings will show."""
+    """The steps, time and mistakes of a procedure on a bench, and what its readings will determine."""
 
     procedure: str
     bench: str
@@ -125,7 +125,7 @@ class Findings:
 
 
 def observability_part(outlook: Outlook) -> ObservabilityPart:
-    """Return what planned readings leave open, as a result has it."""
+    """Return the part of a result on the coefficients and stand errors that planned readings leave open."""
     found = outlook.found
     return ObservabilityPart(
         rank=found.rank,
@@ -141,7 +141,7 @@ def observability_part(outlook: Outlook) -> ObservabilityPart:
 
 
 def until_part(found: TimeOutlook) -> UntilPart:
-    """Return how long a run with goals takes, as a result has it."""
+    """Return the part of a result on the duration of a run with goals."""
     return UntilPart(
         draws=len(found.time_s),
         noise_of_stated=found.scale,
@@ -269,10 +269,10 @@ def disk_space(size: float) -> str:
 
 
 LONGEST_PERIOD: Final = 24
-"""Steps of one point at most that are looked at as a pattern."""
+"""Largest number of steps of one point that are searched for as a pattern."""
 
 FEWEST_PASSES: Final = 6
-"""Fewer blocks of points that differ by their pass alone are listed one by one."""
+"""Least number of equal passes that the listing folds into one line; fewer are listed one by one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,7 +286,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Steps `start` … that repeat the first `period` of them `times` times, but for point and angle."""
+    """Steps from `start` on that consist of `period` steps, repeated `times` times at other points and angles."""
 
     start: int
     period: int
@@ -325,7 +325,7 @@ def _blocks(steps: Sequence[Step]) -> Iterator[_Block]:
 def _folded(shapes: Sequence[object], fewest: int) -> Iterator[tuple[int, int, int]]:
     """Yield start, period and times of the patterns in a sequence, the one that covers most at each place.
 
-    A pattern occurs at least `fewest` times, what is none stands alone.
+    A pattern occurs at least `fewest` times; an element outside patterns has period and times 1.
     """
     numbers: dict[object, int] = {}
     codes = [numbers.setdefault(shape, len(numbers)) for shape in shapes]
@@ -341,7 +341,7 @@ def _folded(shapes: Sequence[object], fewest: int) -> Iterator[tuple[int, int, i
 
 
 def _times(codes: Sequence[int], start: int, period: int) -> int:
-    """Return how often the `period` codes from `start` on stand one after the other."""
+    """Return how many times in a row the `period` codes from `start` on occur."""
     end = start + period
     while end < len(codes) and codes[end] == codes[end - period]:
         end += 1
@@ -354,7 +354,7 @@ _FIELDS: Final = {kind: tuple(f.name for f in fields(kind)) for kind in KINDS}
 
 
 def _shape(step: Step, without: frozenset[str]) -> tuple[Any, ...]:
-    """Return what makes a step the same as another at other points."""
+    """Return the type and the fields of a step, except those in `without`; steps with equal shapes are alike."""
     return (type(step), *(getattr(step, name) for name in _FIELDS[type(step)] if name not in without))
 
 
@@ -362,7 +362,7 @@ def _shape(step: Step, without: frozenset[str]) -> tuple[Any, ...]:
 
 
 def _block_in_words(steps: Sequence[Step], block: _Block) -> str:
-    """Say what a block does."""
+    """Return the description of a block of steps."""
     if block.times == 1 and block.period == 1:
         return steps[block.start].describe()
     unit = steps[block.start : block.start + block.period]
@@ -378,7 +378,7 @@ def _block_in_words(steps: Sequence[Step], block: _Block) -> str:
 
 
 def _where(step: Step) -> str:
-    """Say at which point a step is done; what belongs to none is described."""
+    """Return the point of a step in words, or the description of a step that has no point."""
     if not isinstance(step, Turn | Read):
         return step.describe()
     return step.where()
@@ -389,7 +389,7 @@ def _span(first: Turn, last: Turn) -> str:
 
 
 def _doing(step: Step) -> str:
-    """Say what a step does at any point."""
+    """Return the action of a step in words, without its point."""
     match step:
         case Turn():
             return "turn"

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class CalibrationOfBlock(ResultModel):
-    """A calibration that is compared."""
+    """One of the compared calibrations: its source and date."""
 
     name: str = Field(description="the result file, run or readings file")
     made_at: str | None = Field(description="ISO 8601; null where nobody recorded it")
@@ -44,7 +44,7 @@ class ChangePart(ResultModel):
 
 
 class ChangesPart(CalibrationOfBlock):
-    """A later calibration against the first."""
+    """The changes of all coefficients from the first calibration to a later one."""
 
     coefficients: dict[str, ChangePart]
     chi2: float
@@ -53,7 +53,7 @@ class ChangesPart(CalibrationOfBlock):
 
 
 class RatePart(ResultModel):
-    """The rate of a coefficient, per year."""
+    """The drift rate of a coefficient, per year."""
 
     value: float
     u: float
@@ -77,7 +77,7 @@ class BenchOfSource(BenchPart):
 
 
 class CompareResult(ResultModel):
-    """Calibrations of one block beside one another."""
+    """A comparison of calibrations of one block: changes and drift."""
 
     first: CalibrationOfBlock = Field(description="the reference")
     unit: str = Field(description="of the signals")
@@ -216,7 +216,7 @@ def history_figure(comparison: Comparison) -> str:
 
 
 class DegreePart(ResultModel):
-    """The degree of equivalence of a bench."""
+    """The degree of equivalence of a bench: its difference from the reference value, with U."""
 
     d: float = Field(description="bench less reference")
     u: float = Field(description="of d")
@@ -225,7 +225,7 @@ class DegreePart(ResultModel):
 
 
 class PairPart(ResultModel):
-    """Two benches on the units that both measured."""
+    """The difference of two benches on the units that both measured."""
 
     first: str
     second: str
@@ -236,7 +236,7 @@ class PairPart(ResultModel):
 
 
 class EquivalencePart(ResultModel):
-    """The benches in one coefficient."""
+    """The comparison of the benches in one coefficient."""
 
     method: Literal["weighted mean", "Mandel-Paule", "DerSimonian-Laird"]
     dark: Real = Field(description="what benches differ by beyond their stated u, 1 sigma")
@@ -250,7 +250,7 @@ class EquivalencePart(ResultModel):
 
 
 class TogetherPart(ResultModel):
-    """All twelve coefficients at once."""
+    """A chi-square test of the differences in all twelve coefficients at once."""
 
     chi2: float = Field(description="of the vector of twelve differences with its covariance")
     dof: int
@@ -260,14 +260,14 @@ class TogetherPart(ResultModel):
 
 
 class PairTogether(TogetherPart):
-    """Two benches in all twelve coefficients at once."""
+    """The test of two benches in all twelve coefficients at once."""
 
     first: str
     second: str
 
 
 class AllTogether(ResultModel):
-    """Benches, and pairs of them, in all twelve coefficients at once."""
+    """The tests of each bench, and of each pair, in all twelve coefficients at once."""
 
     benches: dict[str, TogetherPart] = Field(description="degrees of equivalence, by bench")
     pairs: list[PairTogether]
@@ -282,7 +282,7 @@ class BeyondPart(ResultModel):
 
 
 class BenchesResult(FleetResult):
-    """Benches against one another on common units."""
+    """A comparison of benches on common units."""
 
     per_g_m_s2: float = Field(description="the g that scale factors are per")
     benches: list[str] = Field(description="that take part")
@@ -325,7 +325,7 @@ def benches_result(found: BenchComparison) -> BenchesResult:
 
 
 def print_benches(result: BenchesResult, out: Console) -> None:
-    """Print consistency and the worst bench of each coefficient, and who is off."""
+    """Print consistency and the worst bench of each coefficient, and the benches that are off."""
     out.print(
         f"{len(result.benches)} benches on {len(result.units)} common units, {result.calibrations} calibrations; "
         "d = bench less reference, U with k=2"

@@ -61,14 +61,14 @@ class DifferencePart(ValuePart):
 
 
 class HysteresisPart(ResultModel):
-    """Rising minus falling at the same temperature."""
+    """The hysteresis of the coefficients: rising minus falling at the same temperature."""
 
     rising_minus_falling: dict[str, DifferencePart]
     p: float = Field(description="that of all twelve together")
 
 
 class PlateauPart(ResultModel):
-    """A temperature as reached from one side."""
+    """A temperature plateau, with the coefficients from its readings alone."""
 
     temperature_c: float
     branch: Literal[-1, 0, 1] = Field(description="rising (1), falling (-1), or neither")
@@ -79,14 +79,14 @@ class PlateauPart(ResultModel):
 
 
 class ThermalNoisePart(ResultModel):
-    """Sizes of the noise, one standard deviation."""
+    """The sizes of the noise of a reading, as standard deviations."""
 
     reading: float
     setting_rad: float
 
 
 class ApproximationPart(ResultModel):
-    """The error that the table adds, g."""
+    """The error that interpolation in the table adds, in g."""
 
     interpolation_bias_g: float = Field(description="at 0 g")
     interpolation_per_g: float = Field(description="in addition for each g")
@@ -106,7 +106,7 @@ class TablePart(ResultModel):
 
 
 class VerdictAtPart(VerdictPart):
-    """Δg at the verification points at one temperature."""
+    """The verdict on Δg at the verification points at one temperature."""
 
     temperature_c: float
 
@@ -236,7 +236,7 @@ def print_checks(checks: Sequence[tuple[float, Verification]], out: Console) -> 
 
 
 def _coefficient_table(model: TemperatureModel) -> Table:
-    """Return each coefficient at the reference, its slope there, and how far it goes over the range."""
+    """Return a table of each coefficient at the reference temperature, its slope there, and its span."""
     shown = table(
         "coefficient", ">at the reference", ">u", ">per K there", ">u", ">degree", ">over the range", ""
     )

@@ -1,4 +1,4 @@
-"""The result of `bench confirm`: what became of a model's effects in new readings, as JSON and as text."""
+"""The result of `bench confirm`: the effects of a model in new readings, as JSON and as text."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Became = Literal["confirmed", "changed", "gone"]
 
 
 class ParameterNow(ResultModel):
-    """A parameter of an effect, as the model has it and as these readings alone say it."""
+    """A parameter of an effect: its value in the model, and its estimate from the new readings alone."""
 
     parameter: str
     channel: str | None
@@ -44,7 +44,7 @@ class EffectPart(ResultModel):
 
 
 class ConfirmResult(ResultModel):
-    """New readings with and without a model that was found in others, and what became of its effects."""
+    """The test of a model on new readings: the gap with and without the model, and the state of each effect."""
 
     closed: Real = Field(
         description="(before - after)/(before - floor): the part of the gap that the model closes; null where "
@@ -74,7 +74,7 @@ class ConfirmResult(ResultModel):
 
 
 def effect_part(now: EffectNow) -> EffectPart:
-    """Return what became of an effect, as the result has it."""
+    """Return the part of the result on an effect: its verdict, and its values then and now."""
     return EffectPart(
         name=now.applied.effect.name,
         channels=list(now.applied.channels),
@@ -130,7 +130,7 @@ def confirm_result(
 
 
 def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], out: Console) -> None:
-    """Print what became of the effects of a model in new readings, and the one number."""
+    """Print the effects of a model in new readings, and how far the model closes the gap."""
     print_notes(out, notes)
     for effect in found.effects:
         for line in words.effect_now_in_words(effect):

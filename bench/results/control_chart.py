@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LAST_ROWS: Final = 12
-"""So many of the last runs are listed in a terminal."""
+"""Number of the last runs that are listed in a terminal."""
 
 
 class DesignPart(ResultModel):
-    """By which rules the chart judges."""
+    """The rules by which the chart judges a run."""
 
     arl: float = Field(description="mean number of runs between false alarms of the whole")
     arl_of_each: float = Field(description="the same of each of the three statistics that reject a run")
@@ -60,7 +60,7 @@ class ShortTermPart(ResultModel):
 
 
 class DeviationPart(ResultModel):
-    """A coefficient of a run: off the centre, u of that, and one over the other; the same of the EWMA."""
+    """The deviation of a coefficient from the centre: its size, its u and their ratio; the same for the EWMA."""
 
     deviation: float
     u: float
@@ -149,7 +149,7 @@ class ChartResult(ResultModel):
 
 @dataclass(frozen=True)
 class CheckBlockChart:
-    """The control chart of a check block: of which `block`, in which `unit` per `g_m_s2`, and what was left out."""
+    """The control chart of a check block, with the `block`, the `unit` per `g_m_s2`, and the runs left out."""
 
     chart: ControlChart
     block: str
@@ -164,7 +164,7 @@ class CheckBlockChart:
         return self.chart.in_control
 
     def sentence(self) -> str:
-        """Return what the chart says of its last run."""
+        """Return a sentence on the state of the last run."""
         if not self.chart.verdicts:
             first = self.chart.baseline[-1].name
             return f"NO VERDICT yet: {first} is the first, and nothing is there to hold it against"
@@ -294,7 +294,7 @@ def _runs_table(result: ChartResult) -> Table:
 
 
 def _coefficients_table(result: ChartResult) -> Table:
-    """The last run by coefficient: how far from the centre, in u, and what repeats of the baseline say of u."""
+    """Return a table of the last run: the deviation of each coefficient in u, and the scatter of the baseline."""
     last, limits, parts = result.runs[-1], result.limits, result.components
     shown = table(
         last.run, ">off the centre", ">u", f">in u (≤ {limits.single:.1f})",
@@ -318,7 +318,7 @@ def _coefficients_table(result: ChartResult) -> Table:
 
 
 MOST_SHOWN: Final = 60
-"""So many of the last runs are drawn and listed."""
+"""Number of the last runs that are drawn and listed on the page."""
 BASIS_IN_WORDS: Final = {
     "stated": "stated u, believed as it stands",
     "scaled": "stated u, times one factor for all coefficients that the baseline shows",

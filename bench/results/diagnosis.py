@@ -50,7 +50,7 @@ class OrientationPart(ResultModel):
 
 
 class ProposalPart(ResultModel):
-    """What to measure next."""
+    """A proposal for the next measurement."""
 
     why: str
     procedure: Path = Field(description="path of the procedure that was written")
@@ -71,7 +71,7 @@ class ModulusPart(ResultModel):
 
 
 class SimulationPart(ResultModel):
-    """The model beside the readings; null where nothing repeats."""
+    """A comparison of a model with the readings; numbers are null where no reading was repeated."""
 
     chi2: Real
     dof: int | float
@@ -84,7 +84,7 @@ class SimulationPart(ResultModel):
 
 
 class SimulationsPart(ResultModel):
-    """The model that was given, and the one with what was found."""
+    """The simulations of the given model, and of the model with the effects found."""
 
     before: SimulationPart
     after: SimulationPart | None
@@ -98,7 +98,7 @@ class ShiftPart(ResultModel):
 
 
 class RivalPart(ResultModel):
-    """A family beside what else was found."""
+    """A family of effects that competes with the effects found."""
 
     name: str
     ln_odds: float = Field(description="ln odds that it is there")
@@ -107,7 +107,7 @@ class RivalPart(ResultModel):
 
 
 class CopyPart(ResultModel):
-    """The copy with mistakes put right."""
+    """The copy of the readings in which mistakes are corrected."""
 
     readings: Path | None = Field(description="the readings file of the copy; null where it was not written")
     used: int = Field(description="readings in the copy")
@@ -127,7 +127,7 @@ Coefficients = Annotated[
 
 
 class BlockPart(ResultModel):
-    """One block of several."""
+    """The coefficients of one block where a diagnosis covers several."""
 
     mountings: list[str]
     coefficients: Coefficients
@@ -136,7 +136,7 @@ class BlockPart(ResultModel):
 
 
 class FoundResult(ResultModel):
-    """What a diagnosis finds in readings."""
+    """The findings of a diagnosis: verdict, effects, mistakes and the gap."""
 
     verdict: Verdict = Field(
         description="where several apply, the first of mistake, unknown, confounded, named"
@@ -178,7 +178,7 @@ class FoundResult(ResultModel):
 
 
 class DiagnoseResult(FoundResult):
-    """Where model and readings disagree, the name of what is missing, how far naming it closes the gap.
+    """A diagnosis: where model and readings disagree, which effect is missing, and how far it closes the gap.
 
     `bench diagnose --json`; with several sources a list of these, and of `source-failed` where one could not be
     evaluated.
@@ -213,7 +213,7 @@ class DiagnoseResult(FoundResult):
 
 
 def found_result(found: Diagnosis) -> FoundResult:
-    """Return what was found, as the result has it."""
+    """Return the findings of a diagnosis as a part of the result."""
     turned = found.linear.orientation
     return FoundResult.from_object(
         found,
@@ -511,7 +511,7 @@ def _consequence(shown: ModelComparison, out: Console) -> None:
 
 
 def _blocks(full: FullDiagnosis, out: Console) -> None:
-    """Print the coefficients of each block; what is the stand's and the meters' was told once, for all."""
+    """Print the coefficients of each block; the effects of stand and meters were printed once for all blocks."""
     changed = any(block.after is not None for block in full.blocks)
     out.print(f"Coefficients of each block{', with what was found' if changed else ''}; in brackets u:")
     rows = table("block", *(f">{name}" for name in full.blocks[0].coefficients), ">p")

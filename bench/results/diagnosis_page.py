@@ -52,13 +52,13 @@ if TYPE_CHECKING:
 
 INK: Final = "#222222"
 DRAWN: Final = 4
-"""Mountings of which the residuals are drawn in full view; those beyond are folded away."""
+"""Number of mountings whose residuals are drawn in full view; further mountings are folded away."""
 
 MOST_DRAWN: Final = 12
-"""Of no more mountings than this all are drawn; of more, as many runs have, those in full view alone."""
+"""Up to this number of mountings all are drawn; of more, only the mountings in full view."""
 
 STATES: Final = {"agrees": "passed", "named": "none", "confounded": "none"}
-"""Colour of the verdict; of the others it is that of a failure."""
+"""Colour of the box of each verdict; any other verdict has the colour of a failure."""
 
 
 def render_diagnosis(
@@ -167,13 +167,13 @@ def _tests(shown: ModelComparison) -> list[Row]:
 
 
 def _drawn_of(shown: ModelComparison) -> int:
-    """Return of how many mountings there are figures: each takes a second, and nobody looks through sixty."""
+    """Return the number of mountings that get figures; each figure takes a second."""
     count = len(mounts_of(shown.before.calibration))
     return count if count <= MOST_DRAWN else DRAWN
 
 
 def _overlays(shown: ModelComparison) -> tuple[list[Markup], list[Markup]]:
-    """Return measured and simulated signals, of the mounting that tells most, and of others, folded away."""
+    """Return overlays of measured and simulated signals: the most telling mounting, then others, folded."""
     figures = [drawn(overlay_of_mount(shown, i)) for i in most_telling(shown)[: _drawn_of(shown)]]
     return figures[:1], figures[1:]
 
@@ -186,7 +186,7 @@ def _residuals(shown: ModelComparison) -> tuple[list[Markup], list[Markup]]:
 
 
 def _apart(diagnosis: Diagnosis) -> list[Effect]:
-    """Return what measurement would show each effect that is in a tie."""
+    """Return the measurement that would show each effect in a tie."""
     names = dict.fromkeys(
         name
         for effect in diagnosis.effects
@@ -203,7 +203,7 @@ MANY: Final = 3
 
 
 def columns_of(shown: ModelComparison) -> list[tuple[str, Calibration]]:
-    """Return what is drawn side by side: before, after, a simulated run; nothing after where nothing was named."""
+    """Return the columns of the figures: before, after (where an effect was named), and a simulated run."""
     after = [] if shown.after is None else [("after", shown.after.calibration)]
     return [
         ("before" if after else "readings", shown.before.calibration),
@@ -402,7 +402,7 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
 
 
 def most_telling(shown: ModelComparison) -> list[int]:
-    """Return the mountings by their numbers, those first in which what was found changes the simulation most."""
+    """Return the numbers of the mountings, sorted by how much the effects found change their simulation."""
     before, last = shown.before.calibration, shown.last.calibration
     missing = before.residuals - last.residuals
     sizes = [float(np.mean(missing[rows] ** 2)) for _, rows in mounts_of(before)]
@@ -482,7 +482,7 @@ def _wave(angle_deg: Floats, values: Floats, at_deg: Floats) -> Floats:
 
 
 def _joined(axes: Axes, angle_deg: Floats, values: Floats, rows: Mask, passes: Any) -> None:
-    """Join what is simulated of one pass, in the order of the angle."""
+    """Draw a line through the simulated signals of each pass, in the order of the angle."""
     for number in np.unique(passes[rows]):
         mine = np.flatnonzero(rows & (passes == number))
         ordered = mine[np.argsort(angle_deg[mine])]

@@ -54,7 +54,7 @@ class MistakePlace(ResultModel):
 
 
 class FoundPart(ResultModel):
-    """What was found, whatever the readings are of."""
+    """The members that a mistake and any effect found have in common."""
 
     name: str = Field(description="from the catalogue, or what kind of mistake or unnamed pattern it is")
     channels: list[str]
@@ -91,7 +91,7 @@ class EffectPart(FoundPart):
 
 
 class FoldPart(ResultModel):
-    """Readings held out."""
+    """A fold: the readings held out, and how well the fit to all others predicts them."""
 
     what: str
     confirmable: bool = Field(description="whether the other readings could have shown the effect")
@@ -141,7 +141,7 @@ class GapPart(ResultModel):
 
 
 class OfChannels(ResultModel):
-    """A number for each channel."""
+    """A number for each of the three channels."""
 
     x: float
     y: float
@@ -149,7 +149,7 @@ class OfChannels(ResultModel):
 
 
 class FindingPart(ResultModel):
-    """Noise that is larger than stated."""
+    """A noise that is larger than stated."""
 
     what: Literal["reading", "setting"]
     found: float
@@ -165,7 +165,7 @@ class FindingPart(ResultModel):
 
 
 class NoisePart(ResultModel):
-    """The noise, from the scatter of the readings."""
+    """The noise as estimated from the scatter of the readings."""
 
     reading: float = Field(description="of a reading, unit of the signal")
     setting_arcsec: float
@@ -208,7 +208,7 @@ class TermPart(ResultModel):
 
 
 class FormFoldPart(ResultModel):
-    """Readings held out of the search for terms."""
+    """A fold of readings that were held out of the search for terms."""
 
     what: str
     counted: bool
@@ -230,7 +230,7 @@ class FormGapPart(ResultModel):
 
 
 class DarkPart(ResultModel):
-    """What stays unexplained in each reading."""
+    """The dark uncertainty: the misfit that stays unexplained in each reading."""
 
     value: float = Field(description="1 sigma; 0 where it is no more than chance gives")
     u: Real

@@ -25,7 +25,7 @@ from bench.model.effects import CATALOGUE
 
 @dataclass(frozen=True)
 class Files:
-    """What was written of a diagnosis: copies with mistakes put right, model files (one a sensor), the page."""
+    """The files written for a diagnosis: corrected copies, model files (one per sensor), and the page."""
 
     copies: tuple[Path, ...] = ()
     models: tuple[Path, ...] = ()
@@ -48,13 +48,13 @@ UNITS: Final = (("ug", "µg"), ("uV", "µV"), ("^2", "²"), ("^3", "³"), ("arcs
 """Units as files write them, and as a page does."""
 
 WHOLE_UG: Final = 9.95
-"""From so many micro-g on a size is told without decimals."""
+"""Least size in micro-g that is written without decimals."""
 
 MUCH_LESS_CERTAIN: Final = 2.0
-"""A u that grows by no more than this is not worth a line."""
+"""Factor by which u must grow for the coefficient to get a line."""
 
 LEAST_P: Final = 1e-9
-"""Smaller probabilities are not stated: they would rest on the noise being normal far beyond what was ever seen."""
+"""Least probability that is stated: below it, the value would depend on normal noise far beyond any data."""
 
 STILL_MISSING: Final = (
     "the readings still differ from the simulated bench by more than their repeats do, at 1 %: "
@@ -108,7 +108,7 @@ def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
 
 
 def parameter_in_words(value: EffectValue, at: str) -> str:
-    """Return a parameter with its value, `at` where it has it."""
+    """Return a parameter with its value, and the place `at` which it has this value."""
     of = f" of {value.channel}" if value.channel else ""
     return f"{value.parameter}{of}{at} = {_value_in_words(value)}"
 
@@ -124,17 +124,17 @@ def _with_u(value: float, u: float, unit: str) -> str:
 
 
 def p_in_words(p: float, digits: int = 1) -> str:
-    """Return "p = 0.003"; far out nobody knows how chance is distributed, and it is "p < 1e-09"."""
+    """Return a probability in words: "p = 0.003", or "p < 1e-09" below `LEAST_P`."""
     return f"p < {LEAST_P:.0e}" if p < LEAST_P else f"p = {p:.{digits}g}"
 
 
 def p_in_column(p: float, digits: int = 1) -> str:
-    """Return the same below a heading that is p: "0.003", "< 1e-09"."""
+    """Return a probability for a column with the heading p: "0.003", "< 1e-09"."""
     return p_in_words(p, digits).removeprefix("p ").removeprefix("= ")
 
 
 def sentence_of(family: str) -> str:
-    """Return what a family is, in a sentence without its end."""
+    """Return the description of a family of effects, a sentence without its full stop."""
     return CATALOGUE[family].sentence if family in CATALOGUE else UNNAMED_WORDS[family]
 
 
@@ -150,10 +150,10 @@ def place_in_words(place: ResidualPattern) -> str:
 
 
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """Return for each effect that can be seen the size that is found in half of all runs, in its unit.
+    """Return for each visible effect the size that is found in half of all runs, in its unit.
 
-    It is that of the form that shows best; of several parameters (the phases of a wave) their norm in the direction
-    that shows worst.
+    The size is that of the effect's most visible form. For several parameters (the phases of a wave) it is
+    their norm in the least visible direction.
     """
     sizes = []
     for name, factor in diagnosis.detectable.items():
@@ -173,7 +173,7 @@ def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
 
 
 def orders_in_words(orders: Sequence[int], listed: int = 4) -> str:
-    """Return how often a turn, the fewest first: "6, 10, 14, …"."""
+    """Return numbers of waves per turn, the smallest first: "6, 10, 14, …"."""
     shown = ", ".join(str(order) for order in orders[:listed])
     return f"{shown}, …" if len(orders) > listed else shown
 
@@ -198,7 +198,7 @@ def lead(diagnosis: Diagnosis) -> str:
 
 
 def closed_in_words(part: float | None, before_g: float, after_g: float, noise_g: float) -> str:
-    """Return the one number of a gap, never more than all of it.
+    """Return how far a gap is closed, at most 100 %, with its sizes.
 
     "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)"; all sizes are root mean squares.
     """
@@ -217,7 +217,7 @@ def micro_g(value_g: float) -> str:
 
 
 def gap_in_words(gap: Gap) -> str:
-    """Return how far naming closes the gap on readings that were not used; nothing where none could say it."""
+    """Return how far naming closes the gap on readings held out; empty where no held-out reading counts."""
     if not (gap.named and gap.opened):
         return ""
     told = closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
@@ -225,7 +225,7 @@ def gap_in_words(gap: Gap) -> str:
 
 
 def left_out_in_words(gap: Gap) -> Iterator[str]:
-    """Yield what was held out and does not count, with its number and why."""
+    """Yield the held-out folds that do not count, with their number and the reason."""
     for fold in gap.left_out:
         yield f"{fold.label}: {fold.before.reduced:.2f} before, {fold.after.reduced:.2f} after; {fold.blind}"
     for readings in gap.undetermined:
@@ -233,19 +233,19 @@ def left_out_in_words(gap: Gap) -> Iterator[str]:
 
 
 def verdict_in_words(diagnosis: Diagnosis) -> str:
-    """Return what the verdict rests on, in one sentence without its end."""
+    """Return the reason for the verdict, one sentence without its full stop."""
     told = gap_of_verdict(diagnosis)
     return what_in_words(diagnosis) + (f"; {told}" if told else "")
 
 
 def gap_of_verdict(diagnosis: Diagnosis) -> str:
-    """Return how far the gap closes, or why that does not confirm what was found; nothing where nothing was."""
+    """Return how far the gap closes, or why it does not confirm the findings; empty where nothing was found."""
     gap = diagnosis.gap
     return gap.reason if diagnosis.of_copy == "confounded" and gap.reason else gap_in_words(gap)
 
 
 def what_in_words(diagnosis: Diagnosis) -> str:
-    """Return what was found, in one sentence without its end."""
+    """Return the findings in one sentence without its full stop."""
     effects = diagnosis.effects
     match diagnosis.verdict:
         case "agrees":
@@ -285,7 +285,7 @@ def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
 
 
 def _of_copy_in_words(diagnosis: Diagnosis) -> str:
-    """Return what the search on the copy with mistakes put right came to."""
+    """Return the verdict of the search on the copy in which mistakes are corrected, in words."""
     if diagnosis.of_copy == "agrees":
         return "it agrees with the model within the noise"
     if diagnosis.of_copy == "unknown":
@@ -294,7 +294,7 @@ def _of_copy_in_words(diagnosis: Diagnosis) -> str:
 
 
 def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
-    """Return what was found, each with what it cannot be told from: "bias_drift of x or warm_up"."""
+    """Return the effects, each with those that the data cannot tell from it: "bias_drift of x or warm_up"."""
     return "; ".join(" or ".join([effect_title(one), *one.cannot_tell_from]) for one in effects)
 
 
@@ -311,7 +311,7 @@ def beside_in_words(diagnosis: Diagnosis | FreeDiagnosis) -> str:
 
 
 def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
-    """Return what would change were it `other` that is there, in place of what was found; or nothing."""
+    """Return the largest change of a coefficient if the cause were `other`; empty where `other` is no rival."""
     for rival in ranking:
         if rival.family == other:
             coefficient, in_u = rival.largest_shift
@@ -320,7 +320,7 @@ def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
 
 
 def why_no_model(diagnosis: Diagnosis) -> str:
-    """Return why there is no model file of what was found, and what to do all the same, after "no model …"."""
+    """Return why there is no model file, and how to get one all the same; it follows "no model …"."""
     if diagnosis.gap.shrinks is False:
         return "of what makes readings that were held out no smaller a gap: it would not be a better model"
     if any(effect.cannot_tell_from for effect in diagnosis.effects):
@@ -329,7 +329,7 @@ def why_no_model(diagnosis: Diagnosis) -> str:
 
 
 def joined_in_words(shown: ModelComparison) -> Iterator[str]:
-    """Yield what the verification points say where they alone show what was found; nothing where not."""
+    """Yield sentences on the verification points where only they show the effects found; else nothing."""
     if shown.after is None or not shown.after.joined:
         return
     without, with_it = shown.before.worst_g, shown.after.worst_g
@@ -347,7 +347,7 @@ def still_missing(shown: ModelComparison) -> bool:
 
 
 def evidence_in_words(full: FullDiagnosis, file_of_copy: Path | None) -> dict[str, str]:
-    """Return what speaks for each effect and for the whole, for the reader of the model file."""
+    """Return the evidence for each effect and for the whole diagnosis, for the reader of the model file."""
     diagnosis, gap = full.diagnosis, full.diagnosis.gap
     evidence = {"found in": full.source}
     if diagnosis.mistakes.mistakes:
@@ -381,7 +381,7 @@ def evidence_in_words(full: FullDiagnosis, file_of_copy: Path | None) -> dict[st
 
 
 def _evidence_for_form(form: FreeForm) -> dict[str, str]:
-    """Return what speaks for the terms of what has no name."""
+    """Return the evidence for the unnamed terms."""
     closed = (
         "not measured"
         if form.closed is None
@@ -394,14 +394,14 @@ def _evidence_for_form(form: FreeForm) -> dict[str, str]:
 
 
 def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
-    """Return the coefficients whose u grows with what was found, and how many times: "Kyz (u 249 times)"."""
+    """Return the coefficients whose u grows by the effects found, with the factor: "Kyz (u 249 times)"."""
     grown = [(name, one.u_after / one.u_before) for name, one in coefficients.items() if one.u_before > 0]
     grown.sort(key=lambda pair: -pair[1])
     return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]
 
 
 def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
-    """Yield what became of an effect in new readings: its verdict, and its values then and now."""
+    """Yield lines on an effect in new readings: its verdict, and its values then and now."""
     name = label(effect.applied)
     if effect.verdict is None:
         yield f"{name}: these readings do not show it"
@@ -435,7 +435,7 @@ def term_in_words(term: FormTerm) -> str:
 
 
 def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
-    """Yield the lines that describe what has no name; nothing where there is nothing to say of it."""
+    """Yield the lines on the unnamed terms; nothing where no search for them was made."""
     form = diagnosis.form
     if form is None:
         return
@@ -478,7 +478,7 @@ def _dark_in_words(dark: UnexplainedScatter, unit: str) -> str:
 
 
 def dark_for_model(form: FreeForm) -> str | None:
-    """Return what stays unexplained beside the terms of what has no name, as a model file says it."""
+    """Return the misfit that the unnamed terms leave unexplained, in the words of a model file."""
     if not form.applied or not isfinite(form.dark.upper):
         return None
     if form.dark.there:

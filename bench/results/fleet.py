@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     pass
 
 MOST_SHOWN: Final = 12
-"""Benches or units that are named in a terminal; the JSON has all."""
+"""Largest number of benches or units that are named in a terminal; the JSON has all."""
 
 
 class FleetResult(ResultModel):
-    """What every result of the fleet has."""
+    """The members that every result of `bench fleet` has."""
 
     signal: str = Field(description="unit of the signal; scale factors are per g")
     simulated: bool = Field(description="whether the calibrations are of simulated runs")
@@ -49,7 +49,7 @@ def signed_size(value: float, unit: str) -> str:
 
 
 def limit_in_words(limit: float | None, unit: str) -> str:
-    """Return an upper limit; None stands for one that is infinite."""
+    """Return an upper limit in words; None stands for an infinite limit."""
     return quantity(math.inf if limit is None else limit, unit)
 
 
@@ -61,7 +61,7 @@ def _number(value: float | None) -> float:
 
 
 class SizePart(LimitedPart):
-    """What something differs by, 1 sigma, in the signal's unit (per g)."""
+    """A standard deviation between units, benches or calibrations, in the signal's unit (per g)."""
 
     u: Real = Field(description="standard uncertainty of the value; null at zero")
     p_all_looks: Real = Field(
@@ -81,14 +81,14 @@ class AllotmentPart(ResultModel):
 
 
 class RepeatsPart(ResultModel):
-    """Repeated calibrations of a unit on a bench."""
+    """The scatter of repeated calibrations of a unit on a bench."""
 
     reduced_chi2: Real = Field(description="null without any")
     dof: int
 
 
 class SizesPart(ResultModel):
-    """What the values of a coefficient differ by."""
+    """The components of the variance of a coefficient: units, benches and excess scatter."""
 
     unit: SizePart = Field(description="what units of a type differ by")
     bench: SizePart = Field(description="what benches differ by")
@@ -126,7 +126,7 @@ class ApartPart(ResultModel):
 
 
 class EffectsResult(FleetResult):
-    """Whether it is the bench or the block: what units, benches and time bring."""
+    """The variance of the coefficients by units, benches and time, and the benches and units that stand out."""
 
     units: int
     benches: int
@@ -214,7 +214,7 @@ def print_effects(result: EffectsResult, out: Console) -> None:
 
 
 class ExpectedPart(ResultModel):
-    """A coefficient of a further unit."""
+    """The expected coefficient of a further unit of the type."""
 
     mean: float
     u: float = Field(description="of a further unit")
@@ -223,7 +223,7 @@ class ExpectedPart(ResultModel):
 
 
 class PriorResult(FleetResult):
-    """What the units of a type tell of a further one; the file that bench calibrate --prior takes."""
+    """The prior for a further unit from the units of its type: the file that bench calibrate --prior reads."""
 
     type: str = Field(description="of the units")
     per_g_m_s2: float = Field(description="the g that scale factors are per")
@@ -286,14 +286,14 @@ class RatePart(ResultModel):
 
 
 class ForetoldPoint(ResultModel):
-    """The coefficients at a day to come."""
+    """The predicted coefficients at a future day."""
 
     at: str = Field(description="the day of --at")
     coefficients: dict[str, ValuePart] = Field(description="by name")
 
 
 class DriftResult(FleetResult):
-    """What a unit's history tells of its drift."""
+    """The drift of a unit, from the history of its calibrations."""
 
     unit: str = Field(description="type and serial number")
     per_g_m_s2: float = Field(description="the g that scale factors are per")
@@ -361,14 +361,14 @@ def print_drift(result: DriftResult, out: Console) -> None:
 
 
 class ScatterPart(LimitedPart):
-    """What calibrations of a unit scatter by beyond stated u, without what units drift by, 1 sigma."""
+    """The scatter of a unit's calibrations beyond stated u, without the drift of units, 1 sigma."""
 
     value: float = Field(description="root of the mean square over what the calibrations leave open")
     at_least: float = Field(description="lower limit of 95 %")
 
 
 class DriftOfUnits(ResultModel):
-    """What units drift by."""
+    """The standard deviation of the drift of units."""
 
     rate: float = Field(description="per year, 1 sigma over units; 0 where none is taken out")
     walk: float = Field(description="random walk in a year, 1 sigma; likewise")
@@ -377,7 +377,7 @@ class DriftOfUnits(ResultModel):
 
 
 class CapabilityPart(ResultModel):
-    """The capability in a coefficient."""
+    """The calibration and measurement capability in a coefficient."""
 
     U: float = Field(description="k = 2")
     u: float

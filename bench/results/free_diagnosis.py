@@ -44,7 +44,7 @@ class FreePlace(ResultModel):
 
 
 class FreeNoise(ResultModel):
-    """The scatter of a position beside what was found."""
+    """The scatter of a position that remains beside the effects found."""
 
     reading: float
     unit: Literal["g"]
@@ -53,7 +53,7 @@ class FreeNoise(ResultModel):
 
 
 class HeldOutByRecord(ResultModel):
-    """Scatter of zeros over their u for each record held out, by what the other records say."""
+    """The scatter of the zeros of each held-out record over their u, as the other records predict them."""
 
     by: Literal["record"]
     before: Real = Field(description="with zeros that stay")
@@ -61,7 +61,7 @@ class HeldOutByRecord(ResultModel):
 
 
 class BetweenRecordsPart(ResultModel):
-    """How zeros differ between records, each fitted by itself."""
+    """The differences of the zeros between records, each record fitted by itself."""
 
     ratio: Real = Field(description="scatter of the zeros over their stated u")
     scatter_g: list[Real]
@@ -74,7 +74,7 @@ class BetweenRecordsPart(ResultModel):
 
 
 class FreeCopyPart(ResultModel):
-    """What is left without the positions that stand apart."""
+    """The copy of the readings without the outlying positions."""
 
     readings: Path | None = Field(description="the readings file of the copy; null where it was not written")
     files: list[Path] = Field(description="those of all records of which positions stand apart")
@@ -84,7 +84,7 @@ class FreeCopyPart(ResultModel):
 
 
 class FreeDiagnoseResult(ResultModel):
-    """What free positions alone show, each body of them.
+    """A diagnosis of a body of readings that has free positions alone.
 
     `bench diagnose --json`; with several sources a list of these, and of `source-failed` where one could not be
     evaluated.
@@ -190,7 +190,7 @@ def _between(found: BetweenRecords) -> BetweenRecordsPart:
 
 NOTHING: Final = "the positions agree with nine coefficients of each sensor within their scatter"
 LISTED: Final = 2
-"""So many readings files are named; of more, the first and how many."""
+"""Largest number of readings files that are named; of more, the first and the number of files."""
 
 
 def lead(found: FreeDiagnosis) -> str:
@@ -200,19 +200,19 @@ def lead(found: FreeDiagnosis) -> str:
 
 
 def readings_named(found: FreeDiagnosis) -> str:
-    """Return which readings it is of, shortly: of many files the first and the last."""
+    """Return a short name of the diagnosed readings."""
     parts = found.source.split(" + ")
     return found.source if len(parts) <= LISTED else f"{parts[0]} … {parts[-1]} ({len(parts)} readings files)"
 
 
 def title_of(one: FreeFound) -> str:
-    """Return what was found, of which channels, and what it cannot be told from."""
+    """Return the name of an effect, its channels, and the effects that the data cannot tell from it."""
     of = f" of {', '.join(one.channels)}" if one.channels else ""
     return " or ".join([one.name + of, *one.cannot_tell_from])
 
 
 def what_in_words(found: FreeDiagnosis) -> str:
-    """Return what was found, in one sentence without its end."""
+    """Return the findings in one sentence without its full stop."""
     rest = "; ".join(title_of(one) if one.in_catalogue else one.words for one in found.found) or NOTHING
     if not found.apart:
         return rest
@@ -221,7 +221,7 @@ def what_in_words(found: FreeDiagnosis) -> str:
 
 
 def gap_told(found: FreeDiagnosis) -> str:
-    """Return how far naming closes the gap, or why that does not confirm what was found; nothing where none was."""
+    """Return how far naming closes the gap, or why it does not confirm the findings; empty without findings."""
     if found.of_rest == "confounded" and found.gap.reason:
         return found.gap.reason
     return words.gap_in_words(found.gap)
@@ -272,7 +272,7 @@ def why_no_model(found: FreeDiagnosis) -> str:
 
 
 def print_free(found: FreeDiagnosis, files: Files, out: Console) -> None:
-    """Print what was found in free positions, in the order in which it was, and the files that were written."""
+    """Print the findings in free positions, in the order of the search, and the files that were written."""
     rows, gap = found.rows, found.gap
     out.print(
         f"{len(rows)} free positions, {rows.sensors} sensor{'s' * (rows.sensors > 1)}, {found.records} "
@@ -319,7 +319,7 @@ def _print_gap(gap: Gap, out: Console) -> None:
 
 
 def evidence_in_words(found: FreeDiagnosis) -> dict[str, str]:
-    """Return what speaks for what was found, for the reader of the model file."""
+    """Return the evidence for the findings, for the reader of the model file."""
     gap = found.gap
     told = {"found in": readings_named(found)}
     if found.apart:
@@ -338,7 +338,7 @@ def evidence_in_words(found: FreeDiagnosis) -> dict[str, str]:
 
 MARKS: Final = "osD^vP*X"
 BARS: Final = 0.8
-"""Of the room of a record, what its bars fill."""
+"""Part of the width of a record that its bars fill."""
 
 
 def overlay(found: FreeDiagnosis, sensor: int) -> str:
@@ -443,7 +443,7 @@ def modulus_in_time(found: FreeDiagnosis) -> str:
 
 
 def _which(found: FreeDiagnosis, sensor: int, record: int) -> str:
-    """Return what a mark is of, as few words as there are sensors and records."""
+    """Return the label of a mark: its sensor and its record, where there are several."""
     return f"record {record + 1}" if sensor == 0 or found.rows.sensors == 1 else f"_sensor {sensor + 1}"
 
 
@@ -491,7 +491,7 @@ def _rms(part: Floats) -> float:
 
 
 MOST_DRAWN: Final = 8
-"""Sensors of which signals are drawn."""
+"""Largest number of sensors whose signals are drawn."""
 
 
 def render_free(

@@ -14,7 +14,7 @@ from bench.results.parts import BenchPart
 
 
 class RecordPart(ResultModel):
-    """A run behind the sizes."""
+    """A run from which the sizes were learned."""
 
     name: str
     readings: str = Field(description="SHA-256 of the readings file that they make")
@@ -32,7 +32,7 @@ class ContradictionPart(ResultModel):
 
 
 class SizePart(ResultModel):
-    """A learned size."""
+    """A size of the bench that was learned from runs."""
 
     value: float
     u: float = Field(description="standard uncertainty")
@@ -79,7 +79,7 @@ class MetersPart(ResultModel):
 
 
 class LearnResult(ResultModel):
-    """What the runs of one bench share."""
+    """The sizes of stand, noise and meters that the runs of one bench share."""
 
     bench: BenchPart
     learned_for: str = Field(description="hash of stand, head, installations and meters of the bench file")

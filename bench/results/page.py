@@ -158,7 +158,7 @@ class FitInWords:
 
 
 def fit_in_words(fit: LackOfFit) -> FitInWords:
-    """Return what a lack-of-fit test says."""
+    """Return the outcome of a lack-of-fit test in words."""
     if not math.isfinite(fit.p):
         return FitInWords(
             "unknown",
@@ -192,13 +192,13 @@ _MEASURED: Final = {
     "operator": "Operator",
     "procedure": "Procedure",
 }
-"""What stands near the top of the page, from the provenance at its end."""
+"""The entries of the provenance that are also shown near the top of the page."""
 _INSTRUMENTS = ("voltmeter", "head", "thermometer", "level", "power_supply")
 """What measured, or fed what was measured; a chamber stands at the end of the page alone."""
 
 
 def measured(provenance: Mapping[str, str]) -> dict[str, str]:
-    """Return who measured what, when and with which instruments, as far as it is known."""
+    """Return the operator, the unit, the date and the instruments of the readings, as far as known."""
     stated = {title: provenance[name] for name, title in _MEASURED.items() if name in provenance}
     if "Procedure" in stated:
         stated["Procedure"] = stated["Procedure"].partition(" (plan")[0]

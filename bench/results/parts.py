@@ -18,7 +18,7 @@ Part = TypeVar("Part", bound=ResultModel)
 
 
 def by_coefficient(part: type[Part], **columns: Iterable[Any]) -> dict[str, Part]:
-    """Return a part for each of the twelve coefficients, by name; a column holds one member of all of them."""
+    """Return a part for each of the twelve coefficients, by name; each column has the values of one member."""
     rows = zip(*columns.values(), strict=True)
     named = zip(COEFFICIENTS, rows, strict=True)
     return {name: part(**dict(zip(columns, row, strict=True))) for name, row in named}
@@ -34,7 +34,7 @@ def print_notes(notes: Iterable[str], out: Console) -> None:
 
 
 class BenchPart(ResultModel):
-    """The bench file that was taken."""
+    """The bench file that was used, and the reason."""
 
     name: str = Field(description="as it calls itself")
     file: str = Field(description="where it is")
@@ -43,12 +43,12 @@ class BenchPart(ResultModel):
 
     @property
     def words(self) -> str:
-        """Which one it is, and why that one."""
+        """The name of the bench file, and the reason for it."""
         return f"{self.name}, {self.why}"
 
 
 class CorrectionPart(ResultModel):
-    """The certificate of an instrument, and what was done by it."""
+    """The certificate of an instrument, and the correction of the readings by it."""
 
     instrument: str = Field(description="its name in the bench file")
     certificate: str = Field(description="number")
@@ -73,7 +73,7 @@ class UnitPart(ResultModel):
 
 
 class RecordPart(ResultModel):
-    """By what the record of a run can be known again."""
+    """The number of events and the last hash of a run's record, which identify it."""
 
     events: int
     head: str = Field(description="SHA-256 of the last line: the head of the chain of hashes")
@@ -129,7 +129,7 @@ class FitPart(ResultModel):
 
 
 class ReadingsPart(ResultModel):
-    """How many readings there were."""
+    """The numbers of readings, by their use."""
 
     used: int = Field(description="in the fit")
     skipped: int = Field(description="bad rows left out")

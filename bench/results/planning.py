@@ -34,7 +34,7 @@ _SHOWN: Final = {
 
 
 class LimitPart(ResultModel):
-    """How large an error of the bench may be."""
+    """The limit of an error of the bench."""
 
     name: str
     symbol: str
@@ -81,7 +81,7 @@ class LimitPart(ResultModel):
 
 
 class AlternativePart(ResultModel):
-    """Another estimator or procedure: what it gives on the bench as it is."""
+    """Another estimator or procedure, with the uncertainty that it gives on the present bench."""
 
     estimator: str
     procedure: str
@@ -93,7 +93,7 @@ class AlternativePart(ResultModel):
 
 
 class RequireResult(ResultModel):
-    """What the bench must be for an accuracy."""
+    """The limits of the errors of a bench for a required accuracy."""
 
     of: str = Field(description="delta-g, modulus, acceleration or a coefficient")
     up_to: str | None = Field(description="largest acceleration, as it was asked for")
@@ -181,7 +181,7 @@ def _micro(value: float) -> str:
 
 
 class GoalPart(ResultModel):
-    """A goal of the plan, and how well it is reached."""
+    """A goal of the plan, and the uncertainty reached."""
 
     name: str
     unit: str

@@ -100,13 +100,13 @@ class ManifestPart(ResultModel):
 
 
 class ProvenRecordPart(RecordPart):
-    """By what the record can be known again."""
+    """The identity of a record, with the sentences of `--verify`."""
 
     told: list[str] = Field(description="what supports the record, and what not; by --verify")
 
 
 class ShowResult(RunPart):
-    """A run: what it was made of, what became of it."""
+    """A run: its manifest, its state and its events."""
 
     manifest: ManifestPart | dict[str, Any] = Field(description="`run.json` as it is on the disk")
     record: ProvenRecordPart
@@ -196,7 +196,7 @@ class RailPart(ResultModel):
 
 
 class ReadingPart(ResultModel):
-    """What a step that reads has measured."""
+    """The measured values of a step that reads."""
 
     installation: str
     series: int
@@ -297,7 +297,7 @@ class EventLine(ResultModel):
 
 
 class FailurePart(ResultModel):
-    """Something that is wrong with an instrument."""
+    """A fault of an instrument."""
 
     cause: str
     remedy: str
@@ -355,7 +355,7 @@ VERDICTS: Final = {
 
 
 class CommissionedPart(ResultModel):
-    """An instrument of the bench."""
+    """An instrument of the commissioned bench."""
 
     name: str
     address: str
@@ -363,7 +363,7 @@ class CommissionedPart(ResultModel):
 
 
 class CommissionResult(ResultModel):
-    """What a first evening with the instruments of a bench found, check by check."""
+    """The result of commissioning the instruments of a bench, check by check."""
 
     bench: str
     bench_file: str

@@ -56,7 +56,7 @@ class ChannelPart(ResultModel):
 
 
 class ReadingPart(ResultModel):
-    """A reading, for a procedure file."""
+    """The settings of a reading for a procedure file."""
 
     samples: int
     nplc: float
@@ -77,7 +77,7 @@ class StabilityResult(ResultModel):
 
 
 def stability_result(found: Stability, bench: BenchPart) -> StabilityResult:
-    """Return what a record says, with the bench file that was taken, as `--json` writes it."""
+    """Return the noise and drift of a record, with the bench file that was used, as `--json` writes them."""
     record, advice = found.record, found.advice
     return StabilityResult(
         source=record.source,

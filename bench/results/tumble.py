@@ -168,7 +168,7 @@ def _close(view: TumbleView) -> Iterator[tuple[str, str, float]]:
 
 
 def _left_out(view: TumbleView) -> Iterator[str]:
-    """Yield what terms that were left out move, a sentence each."""
+    """Yield the effect of each term that was left out on the other terms, a sentence each."""
     for channel, by_term in view.left_out.items():
         for term, moved in by_term.items():
             if moved:
@@ -177,5 +177,5 @@ def _left_out(view: TumbleView) -> Iterator[str]:
 
 
 def _moved(moved: Mapping[str, float]) -> str:
-    """Return what a term that was left out moves, in words: "K0 by +0.50"."""
+    """Return the shifts of other terms by a term that was left out, in words: "K0 by +0.50"."""
     return ", ".join(f"{name} by {fixed(by, 2, sign=True)}" for name, by in moved.items())

@@ -49,7 +49,7 @@ class PopulationPart(ResultModel):
 
 
 class GlobalRiskPart(ResultModel):
-    """What the rule does to all blocks of a population, at the point with the largest U."""
+    """The risks of the decision rule over all blocks of a population, at the point with the largest U."""
 
     false_accept: float = Field(description="part of all blocks that is accepted without conforming")
     false_reject: float = Field(description="part of all blocks that is not accepted and conforms")
@@ -104,7 +104,7 @@ class VerifyResult(VerdictPart):
 
 
 class ReportResult(ResultModel):
-    """Where the page of a calibration is, and the verification in it."""
+    """The path of the page of a calibration, and the verification in it."""
 
     report: str = Field(description="path of the page")
     bench: BenchPart
@@ -178,11 +178,11 @@ HEADLINES: Final = {
     Statement.NOT_COMPLETE: "not complete",
     Statement.FAIL: "failed",
 }
-"""What the verdict on a whole verification is called."""
+"""Names of the verdicts on a whole verification."""
 
 _LEAST_SHOWN: Final = 1e-4
 _MOST: Final = 2
-"""So many contributions to u are named."""
+"""Largest number of contributions to u that are named."""
 
 
 def headline(result: Verification, *, upper: bool = False) -> str:
@@ -291,7 +291,7 @@ def advice(result: Verification) -> tuple[str, ...]:
 
 
 def _to_pass(result: Verification) -> Iterator[str]:
-    """Say what would make it pass, and what makes most of u at the point that is furthest from it."""
+    """Return what would make the verification pass, and the largest contributions to u at the worst point."""
     needed = result.to_pass
     if needed is None:
         return
@@ -313,7 +313,7 @@ def _to_pass(result: Verification) -> Iterator[str]:
 
 
 def global_risk_in_words(result: Verification) -> tuple[str, ...]:
-    """Return what the rule does to all blocks of the stated population, nothing where none is stated."""
+    """Return the risks of the rule over all blocks of the stated population; empty where none is stated."""
     risk, population = result.global_risk, result.population
     if risk is None or population is None:
         return ()

@@ -1,4 +1,4 @@
-"""Which classic mistake explains a reading, and when that is sure enough to stop a run."""
+"""The classic mistakes that explain a reading, and the decision whether one is sure enough to stop a run."""
 
 from __future__ import annotations
 
@@ -46,33 +46,35 @@ from bench.run.expectation import (
 from drivers.angles import format_dms
 
 TIE: Final = 6.0
-"""Two causes whose costs (-2 ln likelihood) differ by less are both named: less than 20 : 1."""
+"""Two causes whose costs (-2 ln likelihood) differ by less are both named: the odds are below 20 : 1."""
 
 MOVED_RAD: Final = np.radians(1.0)
 CHANNEL_OFF_G: Final = 0.1
-"""Prior 1 σ of how far a block slips, and of how far a single channel is off (in g)."""
+"""Prior 1 σ of the angle by which a block slips (rad), and of the error of a single channel (g)."""
 
 LARGE_RAD: Final = np.radians(0.25)
 LARGE_G: Final = 0.02
-"""A block that moved, a channel that is off by more: no effect of a block or a stand is as large."""
+"""Least slip (rad) and channel error (g) that stop a run: no effect of a block or a stand is as large."""
 
 FEW: Final = 4
-"""So many readings of a mounting tell how the block sits; later ones suppose no new orientation of it."""
+"""Number of readings that show how a mounted block sits; later ones suppose no new orientation."""
 
 MOST_CANDIDATES: Final = 12
-"""Earlier readings that are suspected at once; it bounds the time that a warning takes in a long run."""
+"""Greatest number of earlier readings suspected at once; it bounds the time of a warning in a long run."""
 
 
 AS_RECORDED: Final = Member(Supposition("", Kind.EARLIER))
-"""Supposes nothing."""
+"""The member that supposes no mistake."""
 
 
 @dataclass(frozen=True)
 class Inquiry:
-    """What every supposition needs: the model, the start, the stand, the noise, the largest chi2 that fits.
+    """The search for the mistakes that explain a reading.
 
-    The model has beside its installations the other ways to sit on the platform; `otherwise` names those of
-    each installation.
+    Every supposition needs these fields. `model` has, beside its own installations, the other orientations on
+    the platform; `otherwise` names these orientations for each installation. `nominal` is the nominal block,
+    `prior` the expectation before the first reading, `stand_u` the standard uncertainties of the stand,
+    `noise` the noise sizes, `most` the largest chi2 that counts as a fit.
     """
 
     model: ForwardModel
@@ -86,7 +88,10 @@ class Inquiry:
     # --- mistakes of one reading ---------------------------------------------------------------------
 
     def of_reading(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """Suppose mistakes in this reading alone; `state` has one member, `before` is the cost so far."""
+        """Return the mistakes in this reading alone that explain it.
+
+        `state` has one member; `before` is the cost of the readings before.
+        """
         return [
             *self._cabling_now(sighting, state, before),
             *self._elsewhere(sighting, state, before),
@@ -104,7 +109,7 @@ class Inquiry:
         return self._fitting(supposed, state.judge(signals, sighting.pose, self.noise), before)
 
     def _elsewhere(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """The block in another installation, or the head elsewhere than its scale was read."""
+        """Return the suspects with the block in another installation, or the head at another angle."""
         label, angle = sighting.installation, sighting.angle_rad
         unlikely = 0.0 if sighting.pivot_rad is None else SAT_RIGHT
         supposed = [
@@ -119,7 +124,7 @@ class Inquiry:
         return self._fitting([one.supposed for one in supposed], judged, before)
 
     def _off_by_some(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """The block moved in the plane of rotation or out of it, or one channel off, by whatever fits."""
+        """Return the suspects of any size: the block turned about the shaft or tilted, or one channel off."""
         further = self._shifts(sighting, state)
         judged = state.judge(sighting.signal_v, sighting.pose, self.noise, further)
         weighed = np.linalg.solve(judged.covariance, further[..., None])[..., 0]
@@ -153,7 +158,7 @@ class Inquiry:
         ]
 
     def _others(self, sighting: Sighting, *, few: bool) -> dict[str, Supposition]:
-        """Return where else the block may sit, by label; after `few` readings other orientations, too."""
+        """Return the other ways in which the block may sit, by label; with `few`, other orientations too."""
         label = sighting.installation
         otherwise = self.otherwise.get(label, ()) if few else ()
         known = {at: other_installation(at, label, sighting.sat_before) for at in self._installations(label)}
@@ -167,9 +172,10 @@ class Inquiry:
     # --- mistakes of the whole run so far ------------------------------------------------------------
 
     def of_run(self, history: Sequence[Sighting]) -> tuple[list[Suspect], ReplayedReadings]:
-        """Suppose mistakes since the run or the mounting began, or in one earlier reading alone.
+        """Return the mistakes since the run or mounting began, or in one earlier reading; and their replay.
 
-        The last of `history` is the reading to be explained. Member 0 of the replay supposes nothing.
+        The last sighting of `history` is the reading to be explained. Member 0 of the replay supposes no
+        mistake.
         """
         mounted = max(i for i, s in enumerate(history) if s.new_mount)
         others = self._others(history[-1], few=len(history) - mounted <= FEW)
@@ -198,7 +204,7 @@ class Inquiry:
         ], replay
 
     def _wrong_before(self, sighting: Sighting, k: int) -> list[Member]:
-        """Suppose that reading `k` was wrong: left out, off by whatever size fits, or a setting like it."""
+        """Return the members with a wrong reading `k`: left out, shifted, or taken at another setting."""
         unlikely, was_wrong = UNLIKELY[Kind.EARLIER], f"{sighting.place} was wrong"
         somehow = Supposition(was_wrong, Kind.EARLIER, unlikely)
         first = 2 + len(self._others(sighting, few=True))
@@ -212,13 +218,13 @@ class Inquiry:
         ]
 
     def without(self, history: Sequence[Sighting], k: int) -> ReplayedReadings:
-        """Go through all readings but the one at `k` again."""
+        """Replay all readings except the one with the index `k`."""
         return self.replay(history, [Member(Supposition("", Kind.EARLIER), reading=k, shift=ABSENT)])
 
     def replay(
         self, history: Sequence[Sighting], members: Sequence[Member] = (AS_RECORDED,)
     ) -> ReplayedReadings:
-        """Go through all readings again; without members as they were recorded.
+        """Replay all readings for each member; the default is one member that takes them as recorded.
 
         A reading that is left out costs as much as one that does not fit.
         """
@@ -256,7 +262,7 @@ class Inquiry:
         return sighting.poses
 
     def _shifts(self, sighting: Sighting, state: Expectation) -> Floats:
-        """Prior 1 σ (5, 3), V, of what is off by any size: the block about the shaft, or tilted; each channel."""
+        """Return the prior 1 σ (5, 3), V, of each shift: block turned, block tilted, channels x, y, z."""
         scale = state.scale_factors[0]
         turn = self.model.installations[sighting.installation].block_from_platform
         return np.stack(
@@ -269,22 +275,22 @@ class Inquiry:
 
 
 def _settings(sighting: Sighting) -> list[OtherPose]:
-    """Where the head may have stood otherwise at an earlier reading, by so much that a run is stopped for it."""
+    """Return other settings of the head at an earlier reading, each far enough off to stop a run."""
     at, label = sighting.angle_rad, sighting.installation
     found = head_elsewhere(label, at, sighting.last_rad, sighting.next_rad, sighting.pivot_rad)
     return [one for one in found if abs(one.off_rad) > LARGE_RAD]
 
 
 def candidates(history: Sequence[Sighting]) -> list[int]:
-    """Earlier readings in which a mistake could not be seen when they were taken, the latest of them."""
+    """Return the indices of the latest readings that were taken when a mistake in them could not be seen."""
     poor = [i for i, s in enumerate(history[:-1]) if s.taken and s.poorly_known and not s.struck]
     return poor[-MOST_CANDIDATES:]
 
 
 def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
-    """Return the suspects that the readings cannot tell from the likeliest one, each text once.
+    """Return the suspects that the readings cannot distinguish from the likeliest one, each text once.
 
-    Beside one of a certain size a shift of whatever size fits is none.
+    If the likeliest suspect has a certain size, shifts of any size are left out.
     """
     ranked = {s.text: s for s in sorted(suspects, key=lambda s: -s.cost)}
     best = min(ranked.values(), key=lambda s: s.cost, default=None)
@@ -299,14 +305,14 @@ def _chosen(pose: ExpectedPose, index: NDArray[np.int64]) -> ExpectedPose:
 
 
 STOP_ALARM: Final = 1e-6
-"""Probability that a whole run on a good bench has one reading that is far beyond chance."""
+"""Probability that a reading is far enough beyond chance to stop a run, in a whole run on a good bench."""
 
 CLEARLY: Final = 5.0
-"""So many times larger, in volts, is a mistake than what the model lacks."""
+"""A mistake stops the run only if it is this many times larger, in volts, than any unexplained misfit."""
 
 
 class Confidence:
-    """Decides of each early sign whether it stops the run, and remembers what a person went on with."""
+    """Decides for each early sign whether it stops the run; remembers the mistakes that a person accepted."""
 
     def __init__(self, readings: int) -> None:
         self._sure = float(chdtri(3, STOP_ALARM / max(readings, 1)))
@@ -317,15 +323,15 @@ class Confidence:
         self._undecided: tuple[Sighting, list[Suspect]] | None = None
 
     def mounted(self) -> None:
-        """Say that the block was mounted anew: what was accepted of the mounting before is over."""
+        """Note that the block was mounted anew: signs may stop the run again, and no reading is undecided."""
         self._silent, self._undecided = False, None
 
     def forget(self) -> None:
-        """Say that readings are taken again: nothing about them is undecided any more."""
+        """Note that readings are taken again: forget the undecided reading and the unexplained misfits."""
         self._silent, self._undecided, self._unexplained_v = False, None, 0.0
 
     def went_on(self, sighting: Sighting) -> None:
-        """Say that a person goes on with the mistakes last named: lasting ones are not asked about again."""
+        """Note that a person goes on despite the mistakes named last; lasting ones stop the run no more."""
         self._silent = True
         for kind in self._last:
             if kind in LASTING:
@@ -335,9 +341,9 @@ class Confidence:
     def misfits(
         self, sighting: Sighting, chi2: float, off_v: float, causes: Sequence[Suspect], in_a_row: int
     ) -> bool:
-        """Tell whether the run is to be stopped at a reading that does not fit, `in_a_row`-th of such ones.
+        """Return whether to stop the run at a reading that does not fit.
 
-        `off_v` is by how much its signals are off.
+        `off_v` is the size of its misfit, V; `in_a_row` counts the readings in succession that did not fit.
         """
         self._undecided = None
         somehow = [cause for cause in causes if cause.kind is Kind.EARLIER and cause.free]
@@ -355,7 +361,7 @@ class Confidence:
         return self._stopped_for(causes) if stops else False
 
     def earlier(self, chi2: float, off_v: float, causes: Sequence[Suspect]) -> bool:
-        """Tell whether the run is to be stopped for an earlier reading, which these causes explain."""
+        """Return whether to stop the run for a mistake in an earlier reading, explained by `causes`."""
         if not causes or not all(cause.stops for cause in causes):
             self._unexplained_v = max(self._unexplained_v, off_v)
             return False
@@ -364,7 +370,10 @@ class Confidence:
         return self._stopped_for(causes)
 
     def fits(self) -> tuple[Sighting, list[Suspect]] | None:
-        """Take note of a reading that fits; return the one before with what explains it, if that was wrong."""
+        """Take note of a reading that fits.
+
+        Return the reading before it with its causes, if that one was left undecided: it was wrong.
+        """
         self._silent = False
         before, self._undecided = self._undecided, None
         if before is None:

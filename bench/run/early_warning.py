@@ -43,7 +43,7 @@ from drivers.angles import format_dms
 SCALE_FACTOR_U: Final = 0.03
 CROSS_AXIS_U: Final = 0.03
 BIAS_U_G: Final = 0.3
-"""Prior 1 σ of the coefficients about the nominal block: parts of the scale factor, and g."""
+"""Prior 1 σ of the biases about the nominal block's: parts of the scale factor, and g."""
 
 FALSE_ALARM: Final = 0.005
 """Probability that a whole run on a good bench raises any warning."""
@@ -56,38 +56,40 @@ BIAS_PER_ROOT_HOUR_G: Final = 30e-6
 SCALE_PER_ROOT_HOUR: Final = 20e-6
 BIAS_PER_KELVIN_G: Final = 180e-6
 SCALE_PER_KELVIN: Final = 300e-6
-"""How much a good block may change, 1 σ: what is plausible, threefold for the temperature."""
+"""Plausible change of a good block, 1 σ; for the temperature, three times the plausible value."""
 
 TEMPERATURE_STEP_K: Final = 0.5
-"""Changes of temperature below this are the thermometer's or too small to matter."""
+"""Smaller changes of temperature are ignored: they are the thermometer's, or too small to matter."""
 
 GROWN: Final = 1.25
-"""When the noise turns out larger by this factor, what was learnt with the smaller one is learnt anew."""
+"""If the noise turns out larger by this factor, all readings are learnt again with the larger noise."""
 
 NOISY: Final = 2.0
-"""When repeats scatter by this factor more than the bench file states, it is told once."""
+"""If repeats scatter by this factor more than the bench file states, one sign says so."""
 
 LEAST_NOISE_G: Final = 10e-6
-"""A bench file that states no voltmeter error is not believed further than this."""
+"""Smallest noise (in g) that is assumed, also where the bench file states no voltmeter error."""
 
 POORLY_KNOWN: Final = 3.0
-"""An expectation this many times less certain than a reading cannot show a small mistake in it."""
+"""An expectation whose uncertainty is this many times a reading's cannot show a small mistake in it."""
 
 Place = tuple[int, str, int, int]
-"""A reading by series, installation, pass and point."""
+"""The identity of a reading: series, installation, pass and point."""
 
 TOLD_SIGMA: Final = 3.0
-"""Channels off by more standard deviations are named in a warning."""
+"""A warning names the channels that are off by more standard deviations than this."""
 
 
 class EarlyWarning:
-    """Watches a run reading by reading; to go on with a resumed run give it the recorded readings again.
+    """Watches a run reading by reading; a resumed run needs its recorded readings given again.
 
-    `nominal_v_g` are the block's nominal scale factors with their signs, `stand_u` the standard uncertainties
-    of the stand's angles (rad), of "setting_error" (rad) and "voltmeter_error" (V), `readings` how many the
-    run takes in all, `following` the angle (rad) to which the head goes after a reading on the same mounting.
-    A reading that does not fit teaches the model nothing, so that one mistake does not
-    spoil what follows and a lasting one goes on being told.
+    `nominal_v_g` are the block's nominal scale factors with their signs. `stand_u` are the standard
+    uncertainties of the stand's angles (rad), of "setting_error" (rad) and "voltmeter_error" (V). `readings`
+    is the number of readings of the whole run. `following` is the angle (rad) to which the head goes after a
+    reading on the same mounting.
+
+    The model learns nothing from a reading that does not fit. So one mistake does not spoil later
+    expectations, and a lasting mistake is reported at every reading.
     """
 
     def __init__(
@@ -125,15 +127,15 @@ class EarlyWarning:
         self._in_a_row = 0
         self._moved: tuple[Sighting, Suspect] | None = None
         self.judged: ReadingJudgement | None = None
-        """How the reading taken last was judged against those before it; None for one that was passed over."""
+        """The judgement of the last reading against those before it; None for one that was passed over."""
 
     @property
     def noise(self) -> NoiseSizes:
-        """The noise sizes that readings are judged with by now."""
+        """The noise sizes by which readings are judged at present."""
         return self._repeats.sizes
 
     def remounted(self) -> None:
-        """Say that the block was mounted anew, where the next row does not show it by its installation."""
+        """Note that the block was mounted anew, if the installation of the next reading does not show it."""
         self._mounted_anew = True
         self._confidence.mounted()
         self._visits.clear()  # what differs from now on is the mounting, no noise
@@ -149,12 +151,12 @@ class EarlyWarning:
             self._go_through_again()
 
     def went_on(self) -> None:
-        """Say that a person goes on in spite of the last sign that stopped the run."""
+        """Note that a person goes on in spite of the last sign that stopped the run."""
         if self._history:
             self._confidence.went_on(self._history[-1])
 
     def foresee(self, reading: Reading) -> ReadingJudgement:
-        """Hold a reading against what is expected of it without taking it: what a mistake in it would show."""
+        """Return the judgement of a reading without learning from it; it shows how well a mistake is seen."""
         ahead = copy.deepcopy(self)
         sighting = ahead._sight(reading)
         if sighting.new_mount:
@@ -163,10 +165,10 @@ class EarlyWarning:
         return ahead._state.judge(sighting.signal_v, sighting.pose, ahead.noise)
 
     def take(self, reading: Reading) -> list[EarlySign]:
-        """Judge a reading and learn from it; return what is to be told.
+        """Judge a reading and learn from it; return the early sign, if there is one.
 
-        Those without a known orientation (free, shorted, reference; no angle; an installation that the model
-        lacks) are passed over. A reading taken again takes the place of the earlier one.
+        Readings without a known orientation (free, shorted, reference; no angle; an installation that the
+        model lacks) are passed over. A repeated reading replaces the earlier one.
         """
         self.judged = None
         if reading.angle_deg is None or reading.installation not in self._oriented:
@@ -199,7 +201,7 @@ class EarlyWarning:
     # --- the reading ---------------------------------------------------------------------------------
 
     def _sight(self, reading: Reading) -> Sighting:
-        """Make a sighting of a reading, with what may have changed since the last one."""
+        """Return the sighting of a reading, with the changes possible since the last one."""
         conditions = readings_of([reading], "").conditions()
         before = self._history[-1] if self._history else None
         new_mount = self._mounted_anew or before is None or before.row.mounts != conditions.mounts
@@ -226,7 +228,7 @@ class EarlyWarning:
         return sighting
 
     def _sat_before(self, label: str, new_mount: bool) -> str | None:
-        """Return the installation of the mounting before the one that lasts."""
+        """Return the installation of the mounting before the present one."""
         if not self._history:
             return None
         last = self._history[-1]
@@ -235,7 +237,7 @@ class EarlyWarning:
         return last.installation
 
     def _pivot_rad(self) -> float | None:
-        """Return the angle of the last reading that fitted on the mounting that lasts."""
+        """Return the angle of the last reading that fitted on the present mounting."""
         for sighting in reversed(self._history):
             if sighting.taken and not sighting.struck:
                 return sighting.angle_rad
@@ -244,7 +246,7 @@ class EarlyWarning:
         return None
 
     def _changes(self, time_s: float, temperature_c: float, new_mount: bool) -> Floats:
-        """Variances (12,) by which the coefficients may have changed since the last reading."""
+        """Return the variances (12,) by which the coefficients may have changed since the last reading."""
         hours = max(0.0, time_s - self._time_s) / 3600.0 if math.isfinite(time_s - self._time_s) else 0.0
         self._time_s = self._time_s if math.isnan(time_s) else time_s
         kelvin = temperature_c - self._temperature_c
@@ -258,13 +260,13 @@ class EarlyWarning:
         return np.concatenate([np.repeat(scale * variances, 3), bias * variances])
 
     def _replace_earlier(self, reading: Reading) -> None:
-        """Strike the reading that this one repeats, and make the model forget it."""
+        """Strike the earlier reading that this one repeats, and remove it from the model."""
         if (earlier := self._places.pop(reading.place, None)) is not None:
             earlier.struck = True
             self._go_through_again()
 
     def _go_through_again(self) -> None:
-        """Judge and learn all readings anew, with what is known by now of the noise and of mistakes."""
+        """Judge and learn all readings again, with the present knowledge of the noise and of mistakes."""
         replay = self._inquiry().replay(self._history)
         self._adopt(replay.taken[:, 0], replay.state)
 
@@ -276,7 +278,8 @@ class EarlyWarning:
     def _learn_noise(self, now: Sighting) -> None:
         """Widen the noise where repeats scatter more than stated.
 
-        Only pairs that both fit or both do not: else the step of a slipped block would pass for noise.
+        Only pairs count in which both readings fit or neither does: else the step of a slipped block would
+        pass for noise.
         """
         row = now.row
         key = (row.mounts[0], int(row.point[0]), int(row.direction[0]))
@@ -300,7 +303,7 @@ class EarlyWarning:
         )
 
     def _suspect(self, sighting: Sighting, judged: ReadingJudgement) -> EarlySign:
-        """Find the mistakes that explain the reading, and tell them."""
+        """Return the sign with the mistakes that explain the reading."""
         inquiry = self._inquiry()
         of_run, replay = inquiry.of_run(self._history)
         of_reading = inquiry.of_reading(sighting, self._state, replay.before)
@@ -325,7 +328,7 @@ class EarlyWarning:
         return self._sign(sighting, judged, channels, words, causes, at_fault, confident=confident)
 
     def _wrong_before(self, judged: ReadingJudgement) -> list[EarlySign]:
-        """Tell of the reading before, where only this one, which fits, shows what was wrong with it."""
+        """Return the sign for the reading before, if only this one, which fits, shows its mistake."""
         found = self._confidence.fits()
         if found is None:
             return []
@@ -338,7 +341,7 @@ class EarlyWarning:
         return why([cause.text for cause in causes], at_fault.place if at_fault else None)
 
     def _noisy(self, sighting: Sighting, judged: ReadingJudgement) -> EarlySign:
-        """Tell, once, that the bench is noisier than its file states."""
+        """Return the sign that the bench is noisier than its file states; a run has it once."""
         found, stated = self.noise.reading_v, self._repeats.stated.reading_v
         cause = "the bench is noisier than its file states"
         words = (
@@ -374,7 +377,7 @@ class EarlyWarning:
         )
 
     def _blame_earlier(self, index: int) -> list[Suspect]:
-        """Strike an earlier reading and go on from the model without it; return what explains it."""
+        """Strike an earlier reading and go on from the model without it; return its likeliest mistakes."""
         wrong = self._history[index]
         replay = self._inquiry().without(self._history, index)
         self._adopt(replay.taken[:, 0], replay.state)
@@ -385,7 +388,7 @@ class EarlyWarning:
         return likeliest(self._inquiry().of_reading(wrong, self._state, 0.0))
 
     def _lasting(self, sighting: Sighting, suspects: Sequence[Suspect]) -> list[Suspect]:
-        """Tell a slip that stays from one wrong setting: the same angle as at the reading before."""
+        """Return the lasting slip, if the reading before was off by the same angle; else an empty list."""
         now = next((s for s in suspects if s.moved_rad is not None), None)
         before, self._moved = self._moved, None
         if now is None or now.moved_rad is None:
@@ -402,7 +405,7 @@ class EarlyWarning:
 
 
 class Watcher:
-    """An observer of a run that keeps its early warning up to date; a resumed run's events are told it again."""
+    """An observer of a run that keeps its early warning up to date."""
 
     def __init__(self, warning: EarlyWarning) -> None:
         self._warning = warning
@@ -425,18 +428,19 @@ class Watcher:
                 self._warning.went_on()
 
     def take(self, reading: Reading) -> Sequence[EarlySign]:
-        """Judge a reading; return what is to be told of it."""
+        """Judge a reading; return the early signs."""
         return self._warning.take(reading)
 
     @property
     def judged(self) -> ReadingJudgement | None:
-        """How the reading taken last was judged; None for one without a known orientation."""
+        """The judgement of the last reading; None for one without a known orientation."""
         return self._warning.judged
 
     def recall(self, taken: Sequence[tuple[int, Reading] | None], progress: PlanProgress) -> None:
-        """Take the readings on record of a run that is taken up again.
+        """Take the recorded readings of a run that is resumed.
 
-        None stands where the block was mounted anew. Those that were taken again, or are to be, are passed over.
+        None in `taken` marks a new mounting of the block. Readings that were repeated, or will be, are passed
+        over.
         """
         last = {one[0]: number for number, one in enumerate(taken) if one is not None}
         for number, one in enumerate(taken):
@@ -452,12 +456,12 @@ class Watcher:
                 self._warning.went_on()
 
     def foresee(self, reading: Reading) -> ReadingJudgement:
-        """Hold a reading against what is expected of it without taking it."""
+        """Judge a reading without learning from it."""
         return self._warning.foresee(reading)
 
 
 def watcher_of(plan: Plan, bench: BenchFile) -> Watcher:
-    """Return who compares each reading of a plan with what the model expects from those before it."""
+    """Return the watcher of a plan: it compares each reading with the expectation from earlier readings."""
     reads = [step for step in plan.steps if isinstance(step, Read)]
     following = {
         (read.series, read.installation, read.pass_number, read.point): after.target_rad

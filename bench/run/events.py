@@ -1,4 +1,4 @@
-"""What a run's record consists of: the manifest, the events, what steps bring; the states that events lead to."""
+"""The content of a run's record: the manifest, the events, the results of steps, and the states of a run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class UnitUnderTest(TypedDict):
 
 
 class VerdictAsked(TypedDict, total=False):
-    """How the run's verdict is found, where that was asked for in place of the bench file's."""
+    """The way to the run's verdict, where the command asked for another than the bench file's."""
 
     limit_g: float
     rule: str
@@ -36,21 +36,25 @@ class VerdictAsked(TypedDict, total=False):
 
 
 class DefaultRule(TypedDict):
-    """The decision rule of a run for which nobody states one, with the probability that sets its guard band."""
+    """The decision rule of a run where nobody states one, with the probability that sets its guard band."""
 
     rule: str
     false_acceptance: float
 
 
 DEFAULT_RULE: Final[DefaultRule] = {"rule": "non-binary", "false_acceptance": 0.05}
-"""The default as each record keeps it: one that has none was begun when simple acceptance was the default."""
+"""The default, as each new record keeps it.
+
+A record without one was begun when simple acceptance was the default.
+"""
 
 
 class CheckedBefore(TypedDict, total=False):
-    """What the check block said as the run began: `run` of the check block, how old, what the `rule` is.
+    """The state of the check block at the start of the run.
 
-    `state` is in control, out of control, too old or missing, `said` the same in words; `despite` is why the run
-    was begun all the same, where the state spoke against it.
+    `run` is the run of the check block; its age and the `rule` are recorded with it. `state` is in control,
+    out of control, too old or missing; `said` is the same in words. `despite` is the reason for beginning the
+    run where the state spoke against it.
     """
 
     rule: str
@@ -62,14 +66,14 @@ class CheckedBefore(TypedDict, total=False):
 
 
 class Manifest(TypedDict, total=False):
-    """What a run was begun with (`run.json`), in this order; `files` are the SHA-256 of the inputs by name.
+    """The inputs and settings with which a run was begun (`run.json`), in this order.
 
-    `seed` is None for a run on real instruments. A run of a readings file (`imported`) says how many
-    `readings` that has, and nothing of a procedure. `living` is a dry run whose questions a person answers.
-    `bench_why` says why that bench file was taken. `devices` says
-    where those drivers came from that are none of the bench's own, `verdict` how it is judged in place of the bench
-    file's, `default_rule` how where neither says it, `until` the goals at which it ends, `check_block` what that
-    said; all are left out where there is nothing.
+    `files` are the SHA-256 of the inputs by name. `seed` is None for a run on real instruments. A run of a
+    readings file (`imported`) has the number of its `readings`, and no procedure. `living` marks a dry run
+    whose questions a person answers. `bench_why` is the reason for the choice of the bench file. `devices` is
+    the origin of drivers that are not the bench's own. `verdict` replaces the bench file's way to a verdict;
+    `default_rule` is used where neither states one. `until` are the goals at which the run ends.
+    `check_block` is the state of the check block. Fields without content are left out.
     """
 
     format: int
@@ -96,7 +100,7 @@ class Manifest(TypedDict, total=False):
 
 
 class RecordError(Exception):
-    """A run folder that cannot be written or believed; the text says where, why and what to do."""
+    """A run folder cannot be written, or its content is invalid; the text says where, why and what to do."""
 
 
 def sha256(data: bytes) -> str:
@@ -105,7 +109,7 @@ def sha256(data: bytes) -> str:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Return the inputs' manifest of a run. Raises `RecordError` when there is none."""
+    """Return the manifest of a run. Raises `RecordError` when there is none."""
     try:
         manifest = json.loads(read_regular(folder / MANIFEST).decode())
     except (FileNotFoundError, NotADirectoryError):
@@ -120,7 +124,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def changed_inputs(folder: Path) -> list[str]:
-    """Say which of the inputs of a run are not what its manifest says. Raises `RecordError` without a manifest."""
+    """Return the inputs of a run that differ from its manifest. Raises `RecordError` without a manifest."""
     return [
         f"{name} was changed since the run began"
         for name, digest in read_manifest(folder).get("files", {}).items()
@@ -133,14 +137,14 @@ def changed_inputs(folder: Path) -> list[str]:
 
 @dataclass(frozen=True)
 class Mounted:
-    """The block is mounted; `temperature_c` is what a person told, None where nobody was asked."""
+    """The block is mounted; `temperature_c` was given by a person, None where nobody was asked."""
 
     temperature_c: float | None
 
 
 @dataclass(frozen=True)
 class Turned:
-    """The head was turned: where it stands, read back, and where it was to go."""
+    """The head was turned: the angle read back, and the target."""
 
     angle_deg: float
     target_deg: float
@@ -155,7 +159,7 @@ class TemperatureSet:
 
 @dataclass(frozen=True)
 class CameToRest:
-    """What was waited for has settled: how long that took and at which values, V or °C."""
+    """The quantity has settled: after which time, s, and at which values, V or °C."""
 
     settled_s: float
     settled_at: tuple[float, ...]
@@ -163,7 +167,7 @@ class CameToRest:
 
 @dataclass(frozen=True)
 class InputSelected:
-    """The inputs were switched, to a reference of so many volts where it is one."""
+    """The inputs were switched; `reference_v` is the voltage of a reference, V."""
 
     source: str
     reference_v: float | None
@@ -178,7 +182,7 @@ class Answered:
 
 @dataclass(frozen=True)
 class Powered:
-    """The block was switched: "on", "off" or "cycle"; how long it then warmed up, s, and at which signals, V."""
+    """The block was switched "on", "off" or "cycle"; the time of its warm-up, s, and the signals then, V."""
 
     switched: str
     warmed_up_s: float | None
@@ -187,11 +191,12 @@ class Powered:
 
 @dataclass(frozen=True)
 class Levelled:
-    """What the level showed with the head at 0°: α1 and α2 of the platform with their standard uncertainties.
+    """The tilt of the platform by the level, with the head at 0°: α1 and α2 with standard uncertainties.
 
-    `level_of` and `level_series` say for which mounting; `adjusted` that the platform was levelled before, else it
-    stood as it was found. `level_zero_arcsec` is the level's own zero along the shaft and across, `level_readings`
-    for each setting the head's angle, then along and across in the first and in the turned position, arcsec.
+    `level_of` and `level_series` state the mounting. `adjusted` says whether the platform was levelled
+    before; else it was left as found. `level_zero_arcsec` is the level's own zero along the shaft and across.
+    `level_readings` holds for each setting the head's angle, then along and across in the first and in the
+    turned position, arcsec.
     """
 
     level_of: str
@@ -208,15 +213,15 @@ class Levelled:
 Result = (
     Reading | Mounted | Turned | TemperatureSet | CameToRest | InputSelected | Answered | Levelled | Powered
 )
-"""What a step brings; a wait brings none."""
+"""The result of a step; a wait has none."""
 
 _KINDS: Final = (Mounted, Turned, TemperatureSet, CameToRest, InputSelected, Answered, Levelled, Powered)
-"""Results, which their fields tell apart in a record."""
+"""The kinds of results; a record distinguishes them by their fields."""
 
 
 @cache
 def _fields() -> Mapping[Callable[..., Result], tuple[str, ...]]:
-    """Return the fields of each kind of result; kinds of step in modules of their own bring theirs."""
+    """Return the fields of each kind of result, also for kinds of step that other modules define."""
     from bench.config.procedure.plan import KINDS  # takes long to import
 
     further = (kind.BRINGS for kind in KINDS if kind.BRINGS is not None)
@@ -224,16 +229,16 @@ def _fields() -> Mapping[Callable[..., Result], tuple[str, ...]]:
 
 
 def result_to_json(result: Result | None) -> dict[str, Any]:
-    """Return what is recorded of a step."""
+    """Return the record of a step's result."""
     if result is None:
         return {}
     return {"reading": result.to_json()} if isinstance(result, Reading) else asdict(result)
 
 
 def result_from_json(data: Mapping[str, Any]) -> Result | None:
-    """Return what a step brought from what is recorded of it, of a reading all but its samples.
+    """Return the result of a step from its record; of a reading all but its samples.
 
-    Raises `KeyError`, `TypeError`, `ValueError` for what no step brings.
+    Raises `KeyError`, `TypeError`, `ValueError` for data that no step records.
     """
     if "reading" in data:
         return Reading.from_json(data["reading"] | {"samples": {}})
@@ -248,16 +253,16 @@ def result_from_json(data: Mapping[str, Any]) -> Result | None:
 
 
 class EventType(StrEnum):
-    """What may be recorded, with the names of what is told of it.
+    """The types of events, each with the names of its data.
 
-    What somebody wished says in `by`, `role` and `where` who it was, where that is known.
+    An event from a wish states its author in `by`, `role` and `where`, as far as known.
     """
 
     RUN_STARTED = "run_started"
     """`step`, the first one; `instruments`, their identities by name; `serials`, in a dry run only where it has
     certificates."""
     RUN_RESUMED = "run_resumed"
-    """As of `run_started`."""
+    """The data of `run_started`."""
     RUN_PAUSED = "run_paused"
     """`reason`."""
     RUN_CONTINUED = "run_continued"
@@ -268,11 +273,11 @@ class EventType(StrEnum):
     RUN_ABORTED = "run_aborted"
     """`reason`."""
     LEFT_SAFE = "left_safe"
-    """`to_do`, what a person must still do, by instrument."""
+    """`to_do`, the tasks left for a person, by instrument."""
     STEP_STARTED = "step_started"
     """`step`, its place in the plan from 0; `key`; `attempt`, from 1."""
     STEP_DONE = "step_done"
-    """As of `step_started`, and what the step brought."""
+    """The data of `step_started`, and the result of the step."""
     STEP_FAILED = "step_failed"
     """`step`, `key`; `error`, a sentence."""
     SKIPPED = "skipped"
@@ -280,16 +285,17 @@ class EventType(StrEnum):
     REDO = "redo"
     """`first` and `last` of the steps; `wish`."""
     REMOUNTED = "remounted"
-    """`installation`, `series`, and `now_series` by which its further readings are known.
+    """`installation`, `series`, and `now_series`, the series of its further readings.
 
-    With `why` the block was not taken off, but without power in the meantime: that is another visit, too.
+    With `why` the block stayed mounted, but was without power in the meantime: that is another visit, too.
     """
     POWER = "power"
-    """`power`: the block was switched "on" or "off", "found on", or a look found a "fault".
+    """`power`: the block was switched "on" or "off", was "found on", or a check found a "fault".
 
-    `rails` is what the supply measures at each; with a fault there are phrases in its place, `wrong`."""
+    `rails` are the supply's measurements at each rail; with a fault, phrases in `wrong` replace them.
+    """
     WARMED_UP = "warmed_up"
-    """`after_s`, from switching on; where it was waited until the signals had settled, `at`, V."""
+    """`after_s`, from switching on; `at`, V, the settled signals where the warm-up waited for them."""
     EARLY_SIGN = "early_sign"
     """`step`, and an early sign."""
     SAME_SERIAL = "same_serial"
@@ -297,36 +303,44 @@ class EventType(StrEnum):
     CERTIFICATE = "certificate"
     """`words`, a sentence: a certificate has expired, or is of another instrument than the one that answered."""
     WENT_ON = "went_on"
-    """`step` and `causes` of an early sign that stopped the run; `reason` why it is gone on."""
+    """`step` and `causes` of an early sign that stopped the run; `reason` for going on."""
     WISH_REFUSED = "wish_refused"
     """`wish`; `why`, a sentence."""
     ASKED = "asked"
-    """A prompt that may be answered from more than one place: `id`, which no other of the record has, and the
-    fields of a prompt: `kind`, `text`, `default`, `unit`, `choices`, `minimum`, `maximum`, `action`, `picture`.
+    """A prompt that may be answered from more than one place: its `id`, unique in the record, and its fields.
 
-    It stands until it is answered, or the run goes on, or stops, without an answer."""
+    The fields are `kind`, `text`, `default`, `unit`, `choices`, `minimum`, `maximum`, `action`, `picture`.
+    The question is open until it is answered, or until the run continues or stops without an answer.
+    """
     ANSWERED = "answered"
-    """`id` of the prompt; `answer`, as it counts; `by`, `role` and `where`; `line` of the answers left in the
-    run's folder, from 1, where it is one of these."""
+    """`id` of the prompt; `answer`, the one that counts; `by`, `role` and `where`; `line`, from 1.
+
+    `line` is the number of the line in the file of answers in the run's folder.
+
+    An answer that does not come from this file has no `line`.
+    """
     ANSWER_REFUSED = "answer_refused"
-    """As of `answered`, `answer` as it was given; `why`, a sentence."""
+    """The data of `answered`, with `answer` as given; `why`, a sentence."""
     CHAMBER_SLOW = "chamber_slow"
-    """`chamber`, its name; `start_c`, `air_c` and `target_c`, where it was, is and was sent; `after_s`."""
+    """`chamber`, its name; its air `start_c` then, `air_c` now, `target_c` as demanded; `after_s`."""
     CLOCK_JUMPED = "clock_jumped"
-    """`ahead_s`, by how much civil time went ahead of the bench's since the event before."""
+    """`ahead_s`, the lead that civil time gained over bench time since the event before."""
     CHOSEN = "chosen"
-    """What is measured next, where a run goes on until it is good enough: `visit`, the number of the
-    mounting; `left_out`, ranges [first, last] of steps that are not needed, and `taken_up`, of such that
-    are after all; `now`, what the goal that is furthest from reached is at (None before the readings
-    determine the coefficients); `settings` and `repeats` so far; `next`, the points, what they take and
-    bring; `in_all`, what is expected until the end; `undecided`, the steps that later choices are about,
-    with the time expected of them; or `stop`, why nothing more is measured."""
+    """The choice of the next points, in a run that goes on until its goals are reached.
+
+    `visit` is the number of the mounting. `left_out` are ranges [first, last] of steps that are not needed,
+    `taken_up` ranges of earlier such steps that are needed again. `now` is the state of the goal furthest
+    from being reached (None before the readings determine the coefficients). `settings` and `repeats` are the
+    numbers so far. `next` are the points, their time and their gain; `in_all` is what is expected until the
+    end. `undecided` are the steps that later choices concern, with their expected time. `stop` is the reason
+    for measuring nothing more.
+    """
     IMPORTED = "imported"
     """`file`; `readings`, how many."""
 
 
 MOST: Final = 1_000_000
-"""No plan has as many steps, and no run as many mountings: what counts more of them is none of ours."""
+"""Limit on the steps of a plan and the mountings of a run; a record that counts more is invalid."""
 
 _Told = tuple[tuple[str, type[object]], ...]
 _STEP: Final[_Told] = (("step", int),)
@@ -349,7 +363,7 @@ _TOLD: Final[Mapping[str, _Told]] = {
     EventType.ANSWERED: (("id", str), ("answer", str)),
     EventType.ANSWER_REFUSED: (("id", str), ("answer", str), ("why", str)),
 }
-"""What an event must tell, and as what, for those who read records to rely on it."""
+"""The data that an event of each type must have, with their types; readers of records rely on them."""
 
 _NUMBERS: Final = frozenset({int, float})
 
@@ -358,7 +372,7 @@ _NUMBERS: Final = frozenset({int, float})
 class Event:
     """One line of the record: its number, civil time, bench time in s since the run began, type, contents.
 
-    The type is an `EventType`, or one of a later version.
+    The type is an `EventType`, or a type of a later version.
     """
 
     number: int
@@ -368,7 +382,7 @@ class Event:
     data: dict[str, Any]
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as the record holds it, save for the hash of the line before."""
+        """Return the event as the record holds it, without the hash of the line before."""
         return {
             "n": self.number,
             "time": self.time,
@@ -381,7 +395,7 @@ class Event:
     def from_json(cls, data: dict[str, Any]) -> Event:
         """Return a recorded event, which keeps `data`.
 
-        Raises `KeyError`, `TypeError`, `ValueError` for what is none.
+        Raises `KeyError`, `TypeError`, `ValueError` for data that are no event.
         """
         number, time, bench_s, kind = data.pop("n"), data.pop("time"), data.pop("bench_s"), data.pop("type")
         if type(number) is not int or type(time) is not str or type(kind) is not str:
@@ -396,27 +410,27 @@ class Event:
 
     @property
     def step(self) -> int:
-        """The step that it is about."""
+        """The step to which the event belongs."""
         return int(self.data["step"])
 
     @property
     def steps(self) -> range:
-        """The steps that are skipped or to be done again."""
+        """The steps that are skipped or redone."""
         return range(int(self.data["first"]), int(self.data["last"]) + 1)
 
     @cached_property
     def result(self) -> Result | None:
-        """What a step brought; None for events that are not the end of one, and a step that brought nothing."""
+        """The result of a step; None for an event that ends no step, and for a step without a result."""
         return result_from_json(self.data) if self.type == EventType.STEP_DONE else None
 
     @property
     def reading(self) -> Reading | None:
-        """The reading that a step brought, if it did."""
+        """The reading of a step, if it has one."""
         return result if isinstance(result := self.result, Reading) else None
 
 
 class RunState(StrEnum):
-    """What a run is doing."""
+    """The states of a run."""
 
     READY = "ready"
     RUNNING = "running"
@@ -433,11 +447,11 @@ _OPEN: Final[Mapping[str, RunState]] = {
     EventType.RUN_INTERRUPTED: RunState.INTERRUPTED,
     EventType.RUN_ABORTED: RunState.ABORTED,
 }
-"""What may happen to every run that has not ended, whatever its last program left it at."""
+"""Events possible in every run that has not ended, in whatever state its last program left it."""
 
 
 def _stopped(state: RunState) -> Mapping[str, RunState]:
-    """Return the row of a run that has stopped: a further attempt that fails leaves it as it was."""
+    """Return the row of a stopped run: another attempt that fails leaves its state unchanged."""
     return {**_OPEN, EventType.RUN_FAILED: state, EventType.RUN_INTERRUPTED: state}
 
 
@@ -454,14 +468,14 @@ TRANSITIONS: Final[Mapping[RunState, Mapping[str, RunState]]] = {
     RunState.FINISHED: {},
     RunState.ABORTED: {},
 }
-"""Which event leads from which state to which: there is no other way, for who writes a record or reads it."""
+"""The state after each event, by the state before it; writers and readers of records allow no others."""
 
 ENDED: Final = frozenset({RunState.FINISHED, RunState.ABORTED})
 """States in which nothing more happens to a run."""
 
 
 class Wish(StrEnum):
-    """What a person may ask of a run that goes on."""
+    """The wishes that a person may have during a run."""
 
     PAUSE = "pause"
     CONTINUE = "continue"
@@ -477,14 +491,14 @@ HEARD: Final[Mapping[RunState, frozenset[Wish]]] = {
     RunState.RUNNING: frozenset(Wish) - {Wish.CONTINUE},
     RunState.PAUSED: frozenset(Wish) - {Wish.PAUSE},
 }
-"""Which wishes are heard in which state."""
+"""The wishes that are heard in each state."""
 
 
 _CHANGING: Final = frozenset(event for row in TRANSITIONS.values() for event in row)
 
 
 def state_after_one(state: RunState, event: str) -> RunState:
-    """Return the state that an event on record leads to. Raises `ValueError` where the table does not allow it."""
+    """Return the state after a recorded event. Raises `ValueError` where the table does not allow it."""
     if event not in _CHANGING:
         return state
     if event not in TRANSITIONS[state]:

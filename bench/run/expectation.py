@@ -1,4 +1,4 @@
-"""What the model expects of the next reading, the sign when it does not fit, and mistakes that explain it."""
+"""The model's expectation of the next reading, the sign when it does not fit, and the mistakes behind it."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from drivers.angles import format_dms, wrapped_rad
 
 COEFFICIENT_COUNT: Final = 12
 SETTING: Final = len(STAND_ANGLES)
-"""Column of a pose's slopes that belongs to the setting error; the stand's angles come before it."""
+"""Column of the setting error in a pose's slopes; the stand's angles occupy the columns before it."""
 
 STATE: Final = COEFFICIENT_COUNT + len(STAND_ANGLES)
 
 STATED_WORTH: Final = 12.0
-"""Degrees of freedom of repeats that the stated noise sizes are worth."""
+"""Weight of the stated noise sizes, as degrees of freedom of repeats."""
 
 _STEP_RAD: Final = 1e-5
 
 
 class ExpectedPose(NamedTuple):
-    """How gravity acts on the block at a reading.
+    """The action of gravity on the block at a reading.
 
-    `force` (…, 3) in g at a stand without errors; `slopes` (…, 3, 6) its derivatives by the stand's angles
-    and the setting error, g/rad; `addition` (…, 3) what the model's effects add, V.
+    `force` (…, 3) is its components in g on a stand without errors, `slopes` (…, 3, 6) their derivatives by
+    the stand's angles and the setting error, g/rad. `addition` (…, 3) is the sum of the model's effects, V.
     """
 
     force: Floats
@@ -47,9 +47,9 @@ class ExpectedPose(NamedTuple):
 def poses(
     model: ForwardModel, block: Block, row: Conditions, installations: Sequence[str], angle_rad: Floats
 ) -> ExpectedPose:
-    """Return the poses (v, …) of one reading, if the block sat and the head stood as the v variants say.
+    """Return the poses (v, …) of one reading for v variants of installation and head angle.
 
-    `row` has the conditions of the one reading, `block` is where effects that depend on it are taken.
+    `row` has the conditions of the one reading. Effects that depend on the block are evaluated at `block`.
     Raises `KeyError` for an installation that the model lacks.
     """
     variants, columns = len(angle_rad), SETTING + 2
@@ -82,10 +82,10 @@ class NoiseSizes:
 
 
 class RepeatNoise:
-    """The noise sizes as repeats show them, never below those that the bench file states.
+    """The noise sizes as repeats show them, never below the sizes that the bench file states.
 
-    What is stated covers errors that repeats do not show (the meters' gain, the head's graduation), and counts
-    as much as `STATED_WORTH` degrees of freedom of repeats.
+    The stated sizes cover errors that repeats do not show (the meters' gain, the head's graduation). They
+    count as much as `STATED_WORTH` degrees of freedom of repeats.
     """
 
     def __init__(self, stated: NoiseSizes) -> None:
@@ -94,9 +94,9 @@ class RepeatNoise:
         self._across_v2, self._along_rad2, self._repeats = 0.0, 0.0, 0
 
     def add(self, difference_v: Floats, slope: Floats) -> None:
-        """Take in a repeat's difference (3,) from the visit before; `slope` (3,) is du/dphi, V/rad.
+        """Add a repeat's difference (3,) from the visit before; `slope` (3,) is du/dphi, V/rad.
 
-        Along the slope both sizes show, in the two directions across it that of the signals alone.
+        Both noise sizes act along the slope. In the two directions across it only the signals' noise acts.
         """
         length = float(np.linalg.norm(slope))
         along2 = (float(difference_v @ slope) / length) ** 2 / 2
@@ -113,10 +113,11 @@ class RepeatNoise:
 
 
 class ReadingJudgement(NamedTuple):
-    """A reading against its expectation, per member.
+    """The comparison of a reading with its expectation, for each member.
 
-    `residual` (m, 3) in V, `covariance` (m, 3, 3) of it, `chi2` (m,) with three degrees of freedom,
-    `log_det` (m,) of the covariance, `design` (m, 3, 17) the derivatives by the state.
+    `residual` (m, 3) is in V, `covariance` (m, 3, 3) is its covariance. `chi2` (m,) has three degrees of
+    freedom. `log_det` (m,) is the logarithm of the covariance's determinant, `design` (m, 3, 17) the
+    derivatives by the state.
     """
 
     residual: Floats
@@ -132,7 +133,7 @@ class ReadingJudgement(NamedTuple):
 
     @property
     def p(self) -> float:
-        """The probability of so large a misfit of the first member by chance."""
+        """The probability that chance alone makes the first member's misfit at least this large."""
         return float(chdtrc(3, self.chi2[0]))
 
     def cost(self, most: float) -> Floats:
@@ -149,19 +150,19 @@ class Expectation:
 
     @classmethod
     def about(cls, block: Block, u: Floats) -> Expectation:
-        """One member about a nominal block, with the standard uncertainties `u` (12,)."""
+        """Return one member about a nominal block, with the standard uncertainties `u` (12,)."""
         mean, variance = np.zeros(STATE), np.zeros(STATE)
         mean[:COEFFICIENT_COUNT], variance[:COEFFICIENT_COUNT] = block.vector, u**2
         return cls(mean[None], np.diag(variance)[None])
 
     def repeated(self, members: int) -> Expectation:
-        """Return the first member `members` times over."""
+        """Return the first member, repeated `members` times."""
         return Expectation(
             np.repeat(self.mean[:1], members, axis=0), np.repeat(self.covariance[:1], members, axis=0)
         )
 
     def member(self, index: int) -> Expectation:
-        """Return one member alone."""
+        """Return the member with this index alone."""
         return Expectation(self.mean[index : index + 1].copy(), self.covariance[index : index + 1].copy())
 
     @property
@@ -170,7 +171,7 @@ class Expectation:
         return self.mean[:, :9].reshape(-1, 3, 3)
 
     def remount(self, stand_u: Mapping[str, float]) -> None:
-        """Forget the stand's angles of the last mounting; those of the new one are as the bench states."""
+        """Forget the stand's angles of the last mounting; the new ones have the uncertainties `stand_u`."""
         self.mean[:, COEFFICIENT_COUNT:] = 0.0
         self.covariance[:, COEFFICIENT_COUNT:, :] = 0.0
         self.covariance[:, :, COEFFICIENT_COUNT:] = 0.0
@@ -178,7 +179,7 @@ class Expectation:
             self.covariance[:, column, column] = stand_u.get(name, 0.0) ** 2
 
     def loosen(self, variance: Floats) -> None:
-        """Let the coefficients have moved by so much (12,) since the last reading."""
+        """Add `variance` (12,) to the coefficients: they may have changed since the last reading."""
         index = np.arange(COEFFICIENT_COUNT)
         self.covariance[:, index, index] += variance
 
@@ -191,9 +192,9 @@ class Expectation:
     def judge(
         self, signal_v: Floats, pose: ExpectedPose, noise: NoiseSizes, further: Floats | None = None
     ) -> ReadingJudgement:
-        """Hold a reading (m, 3) against what is expected of it.
+        """Judge a reading (m, 3) against its expectation.
 
-        `further` (m, 3) is one more error by which the reading may be off, as one standard deviation of it.
+        `further` (m, 3) is the standard deviation of one more error that the reading may have, V.
         """
         angles = self.mean[:, COEFFICIENT_COUNT:, None]
         force = pose.force + (pose.slopes[..., :SETTING] @ angles)[..., 0]
@@ -214,7 +215,7 @@ class Expectation:
         return ReadingJudgement(residual, covariance, chi2, np.linalg.slogdet(covariance)[1], design)
 
     def take(self, judged: ReadingJudgement, members: Mask | None = None) -> None:
-        """Learn from a judged reading, in the members of the mask (m,) alone where one is given."""
+        """Update the state with a judged reading; the mask `members` (m,) restricts this to some members."""
         across = self.covariance @ np.swapaxes(judged.design, 1, 2)
         gain = np.swapaxes(np.linalg.solve(judged.covariance, np.swapaxes(across, 1, 2)), 1, 2)
         if members is not None:
@@ -225,19 +226,20 @@ class Expectation:
 
 
 MOST_TOLD: Final = 3
-"""With more causes than that, equally likely, there is no telling yet; so many are named."""
+"""Greatest number of causes that a sign names; of more, it gives the number and names the likeliest."""
 
 
 @dataclass(frozen=True)
 class EarlySign:
     """A reading that does not fit those before it.
 
-    `sentence` tells it all; `sigma` are the residuals of x, y, z in standard deviations of the expectation,
-    `channels` those that stand out, `p` the probability of so large a misfit by chance; `causes` are the
-    mistakes that explain it equally well, likeliest first, empty when none does; `in_a_row` counts readings
-    in succession that did not fit; `at_fault` is the place of an earlier reading where that one was wrong (and
-    this one fits without it: `in_a_row` is 0). `kinds` are those of the causes. `confident`: the run is to stop and
-    ask (`bench.run.causes`); `wrong` is then the reading at fault (series, installation, pass, point).
+    `sentence` is the whole message. `sigma` are the residuals of x, y, z in standard deviations of the
+    expectation, `channels` those that stand out, `p` is the probability of so large a misfit by chance.
+    `causes` are the mistakes that explain it equally well, likeliest first, empty when none does; `kinds` are
+    their kinds. `in_a_row` counts readings in succession that did not fit. `at_fault` is the place of an
+    earlier reading if that one was wrong: this one fits without it, and `in_a_row` is 0. If `confident`, the
+    run is to stop and ask (`bench.run.causes`); `wrong` is then the reading at fault (series, installation,
+    pass, point).
     """
 
     sentence: str
@@ -253,12 +255,12 @@ class EarlySign:
     wrong: tuple[int, str, int, int] | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as the data of an event."""
+        """Return the sign as the data of an event."""
         return asdict(self)
 
 
 def misfit(judged: ReadingJudgement, channels: Sequence[str]) -> str:
-    """Say by how much the channels of a reading are off."""
+    """Return the phrase on the deviations of a reading's channels from their expectation."""
     parts = []
     for channel in channels:
         i = CHANNELS.index(channel)
@@ -271,7 +273,7 @@ def misfit(judged: ReadingJudgement, channels: Sequence[str]) -> str:
 
 
 def why(causes: Sequence[str], at_fault: str | None) -> str:
-    """Say what would explain a misfit; `at_fault` is the place of an earlier reading that was wrong."""
+    """Return the sentence on the causes; `at_fault` is the place of an earlier reading that was wrong."""
     if at_fault:
         mistake = f"the mistake is at {at_fault}, which does not fit the other readings"
         return f"{mistake}: {' or '.join(causes)}" if causes else mistake
@@ -284,13 +286,13 @@ def why(causes: Sequence[str], at_fault: str | None) -> str:
 
 
 def millivolts(value_v: float, sign: str = "") -> str:
-    """Three digits, without an exponent."""
+    """Return a voltage with three digits, in millivolts without an exponent."""
     digits = 0 if abs(value_v) >= 0.1 else 1 if abs(value_v) >= 0.01 else 2
     return f"{value_v * 1e3:{sign}.{digits}f} mV"
 
 
 class Kind(StrEnum):
-    """Kinds of mistakes, as signs name them beside the words."""
+    """Kinds of mistakes, as early signs record them beside their sentences."""
 
     CABLING = "cabling"
     ROTATION = "rotation"
@@ -307,34 +309,36 @@ class Kind(StrEnum):
 
 
 LASTING: Final = frozenset({Kind.CABLING, Kind.ROTATION, Kind.INSTALLATION, Kind.ORIENTATION})
-"""Mistakes that stay until they are mended; the others are those of one reading."""
+"""Mistakes that last until somebody corrects them; the others affect one reading."""
 
 FREE: Final = frozenset({Kind.MOVED, Kind.TILTED, Kind.CHANNEL})
-"""Shifts of whatever size fits: no rivals of a mistake of one certain size that fits better."""
+"""Shifts of any size; they do not compete with a mistake of one certain size that fits better."""
 
 UNLIKELY: Final[Mapping[str, float]] = {Kind.ORIENTATION: 5.0, Kind.SLIP: 1.0, Kind.EARLIER: 2.0}
-"""What a kind costs beforehand (-2 ln of its odds against the plainest ones)."""
+"""Prior cost of each kind: -2 ln of its odds against the most common mistakes."""
 
 FIRST_ORIENTATION: Final = 3.0
-"""What it costs more in the first mounting, where nothing known of the block tells it from the cables."""
+"""Added prior cost in the first mounting, where no earlier reading tells an orientation from wrong cables."""
 
 OTHER_INSTALLATION: Final = 4.0
-"""What an installation costs beforehand in which the block did not sit before."""
+"""Prior cost of an installation other than that of the mounting before."""
 
 REVERSED_MEANWHILE: Final = 7.0
-"""What it costs that wires of one channel were reversed after readings of the mounting that fitted: a head that was
-not turned is the plainer cause where the signal of a channel changes its sign only."""
+"""Prior cost of reversed wires of one channel after readings of the mounting had fitted.
+
+Where only the sign of a channel's signal changes, a head that was not turned is the more common cause.
+"""
 
 SAT_RIGHT: Final = 12.0
-"""What it costs that a block sits otherwise for one reading, after others of its mounting fitted."""
+"""Prior cost of a block that sits otherwise for one reading, after others of its mounting fitted."""
 
 SAME_RAD: Final = float(np.radians(0.5))
-"""Angles nearer than this are one supposition."""
+"""Angles that differ by less than this are one supposition."""
 
 
 @dataclass(frozen=True)
 class Supposition:
-    """A supposition in words, its kind, and what it costs beforehand."""
+    """A supposed mistake in words, with its kind and its prior cost."""
 
     text: str
     kind: Kind
@@ -343,7 +347,7 @@ class Supposition:
 
 @dataclass(frozen=True)
 class OtherPose:
-    """A reading supposed to have been taken with the block in another `label`, the head `off_rad` away."""
+    """The supposition that the block sat in installation `label`, the head `off_rad` from its reading."""
 
     supposed: Supposition
     label: str
@@ -351,7 +355,7 @@ class OtherPose:
 
 
 def _said(wiring: Wiring) -> str:
-    """Say what is wrong with the cables."""
+    """Return the sentence on a cable mistake."""
     match wiring.channels:
         case (one,):
             return f"channel {one} is reversed"
@@ -361,13 +365,13 @@ def _said(wiring: Wiring) -> str:
 
 
 CABLINGS: Final[Mapping[str, Floats]] = {_said(wiring): wiring.matrix for wiring in (*EXCHANGED, *REVERSED)}
-"""What may be wrong with the cables, and the matrix (3, 3) that makes it right again."""
+"""Possible mistakes in the cables, each with the matrix (3, 3) that corrects the signals."""
 
 REVERSALS: Final = frozenset(_said(wiring) for wiring in REVERSED)
-"""Those of them that are one channel's."""
+"""The sentences of `CABLINGS` in which the wires of one channel are reversed."""
 
 EXCHANGED_IN_TURN: Final = 4.0
-"""What it costs beforehand that all three cables are wrong, which looks like a block that sits otherwise."""
+"""Prior cost of three wrong cables, which look like a block that sits otherwise."""
 
 CABLED: Final = tuple(
     Supposition(_said(wiring), Kind.CABLING, EXCHANGED_IN_TURN if len(wiring.channels) == 3 else 0.0)
@@ -376,7 +380,10 @@ CABLED: Final = tuple(
 
 
 def other_installation(actual: str, stated: str, before: str | None) -> Supposition:
-    """Suppose that the block sits in another installation; `before` is that of the mounting before."""
+    """Return the supposition that the block sits in another installation than the stated one.
+
+    `before` is the installation of the mounting before.
+    """
     text = f"the block sits in installation {actual}, not in {stated}"
     return Supposition(text, Kind.INSTALLATION, 0.0 if actual == before else OTHER_INSTALLATION)
 
@@ -388,13 +395,13 @@ def _quarter_turns() -> tuple[tuple[tuple[int, ...], tuple[float, ...], Floats],
 
 
 QUARTER_TURNS: Final = _quarter_turns()
-"""The 24 rotations that bring axes upon axes: the order and the signs of the channels, and the matrix (3, 3)."""
+"""The 24 rotations that map axes to axes: order and signs of the channels, and the matrix (3, 3)."""
 
 
 def orientations(installations: Mapping[str, Installation], label: str) -> dict[str, Installation]:
-    """Return the ways in which a block may sit on the platform otherwise, by what is said of each.
+    """Return the other orientations in which a block may sit on the platform, by the sentence on each.
 
-    They are the quarter turns of installation `label`, without those that another installation has.
+    They are the quarter turns of installation `label`, without those that equal another installation.
     """
     own = installations[label].block_from_platform
     known = np.array([other.block_from_platform for other in installations.values()])
@@ -415,10 +422,11 @@ def orientations(installations: Mapping[str, Installation], label: str) -> dict[
 def head_elsewhere(
     label: str, angle_rad: float, last_rad: float | None, next_rad: float | None, pivot_rad: float | None
 ) -> list[OtherPose]:
-    """Suppose that the head stood elsewhere than its scale was read.
+    """Return the suppositions that the head stood elsewhere than its scale was read.
 
-    `last_rad` is the angle at the point before on the same mounting, `next_rad` that of the point to come,
-    `pivot_rad` that of the last point that fitted: from there the head may have been turned the wrong way.
+    `last_rad` is the angle at the point before on the same mounting, `next_rad` the angle of the next point.
+    `pivot_rad` is the angle of the last point that fitted: from there the head may have been turned the wrong
+    way.
     """
     found: list[OtherPose] = []
 
@@ -465,24 +473,25 @@ def head_elsewhere(
 
 
 SHIFTS: Final = 5
-"""So many shifts of whatever size fits: the block about the shaft, tilted, each channel."""
+"""Number of shifts of any size: the block about the shaft, the block tilted, and each channel."""
 
 AS_IT_IS, ABSENT = SHIFTS, SHIFTS + 1
-"""In the place of a shift: a reading that is taken as it stands, one that is left out."""
+"""Values in the place of a shift's number: the reading as it was recorded, and the reading left out."""
 
 
 @dataclass
 class Sighting:
-    """A reading as the early warning keeps it.
+    """A reading with all that the early warning keeps of it.
 
-    `new_mount` says that the block was mounted before it, `loosened` (12,) by how much the coefficients may
-    have moved, as variances. `taken`: the model has learnt from it; `poorly_known`: when it was taken the
-    model could not yet have seen a mistake in it; `struck`: known to be wrong, or taken again.
-    `poses` are as recorded, with the head's sense reversed, in each of the other installations, and with the head
-    where it may have been set instead.
-    `sat_before` is the installation of the mounting before, `last_rad` where the head stood at the reading
-    before on this mounting, `pivot_rad` at the last that fitted, `next_rad` where it goes next, None where there
-    is none.
+    `new_mount` says that the block was mounted before it. `loosened` (12,) are the variances by which the
+    coefficients may have changed since the reading before. `taken`: the model has learnt from the reading.
+    `poorly_known`: the model could not yet have seen a mistake in it. `struck`: it is known to be wrong, or
+    was taken again.
+
+    `poses` are, in this order: as recorded, with the head's sense reversed, in each other installation or
+    orientation, and at each other setting of the head. `sat_before` is the installation of the mounting
+    before. `last_rad` is the head's angle at the reading before on this mounting, `pivot_rad` at the last one
+    that fitted, `next_rad` at the next one; each is None where there is no such reading.
     """
 
     place: str
@@ -516,9 +525,9 @@ class Sighting:
 class Suspect:
     """A supposition that explains a reading, and its cost.
 
-    `earlier` is the reading that is at fault instead. `moved_rad` with its uncertainty is set where the head or
-    the block is supposed off by an angle. `stops` says that no effect looks like it: a run is stopped for it;
-    `free` that it is a shift of whatever size fits.
+    `earlier` is the index of the earlier reading at fault, if any. `moved_rad` and its uncertainty are set
+    where the head or the block is supposed to be off by an angle. `stops`: no effect looks like this mistake,
+    so that it stops the run. `free`: it is a shift of any size.
     """
 
     text: str
@@ -533,10 +542,10 @@ class Suspect:
 
 @dataclass(frozen=True)
 class Member:
-    """A supposition that a replay follows: of every reading since a certain one, or of one `reading` alone.
+    """A supposition that a replay follows, for all readings from one on or for one `reading` alone.
 
-    `cabling` (3, 3) makes the signals right, `pose` is the number of the pose among those of a sighting, `shift`
-    that of a shift of whatever size fits, or `ABSENT`.
+    `cabling` (3, 3) corrects the signals. `pose` is the index among the poses of a sighting. `shift` is the
+    number of a shift of any size, `AS_IT_IS`, or `ABSENT`.
     """
 
     supposed: Supposition
@@ -547,7 +556,7 @@ class Member:
     shift: int = AS_IT_IS
 
     def pose_at(self, i: int) -> int:
-        """Return the number of the pose at the reading `i`."""
+        """Return the index of the pose at the reading `i`."""
         return self.pose if i >= self.since and self.reading in (None, i) else 0
 
     def shift_at(self, i: int) -> int:
@@ -557,9 +566,10 @@ class Member:
 
 @dataclass(frozen=True)
 class ReplayedReadings:
-    """All readings gone through once more: the state of each member at the end and what it took in.
+    """The result of a replay of all readings: the last state of each member and the readings it learnt from.
 
-    `cost` (m,) of all readings, `before` that of the base member without the last one; `taken` (n, m).
+    `cost` (m,) is the cost of all readings, `before` the cost of the base member without the last one.
+    `taken` (n, m) says which of n readings each member learnt from.
     """
 
     state: Expectation

@@ -1,4 +1,4 @@
-"""Run folders as analyses see them: inputs, history, readings; a digest of many."""
+"""Run folders as analyses see them: inputs, history, readings; and cached digests of many runs."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ LEARNED = "learned.yaml"
 IMPORTED = "readings.csv"
 VERIFY = "verify"
 RESULTS = "results.json"
-"""Names what was made of a finished run: `made`, null until all of it is there."""
+"""Name of the file that lists the results of a finished run: `made` is null until all of them are there."""
 REPORT = "report.html"
 
 
 @dataclass(frozen=True)
 class Run:
-    """A run folder, read on demand. Raises `RecordError` where something in it cannot be read."""
+    """A run folder, read on demand. Raises `RecordError` where a file in it cannot be read."""
 
     folder: Path
 
@@ -51,17 +51,17 @@ class Run:
 
     @cached_property
     def manifest(self) -> Manifest:
-        """What the run was started with."""
+        """The manifest with which the run was begun."""
         return read_manifest(self.folder)
 
     @cached_property
     def history(self) -> History:
-        """The events, checked."""
+        """The events of the run, with their hashes checked."""
         return read_history(self.folder)
 
     @cached_property
     def plan(self) -> Plan:
-        """The plan that was, or is to be, carried out."""
+        """The plan of the run."""
         try:
             with uncollected():
                 return Plan.from_json(read_json(read_regular(self.folder / PLAN)))
@@ -90,12 +90,12 @@ class Run:
 
     @property
     def asks_somebody(self) -> bool:
-        """Whether a living person answers the questions of the run, and no scripted one."""
+        """Whether a living person, not a scripted one, answers the questions of the run."""
         return not self.simulated or bool(self.manifest.get("living"))
 
     @property
     def results_missing(self) -> bool:
-        """Whether of what is made of the run when it has finished not all is there."""
+        """Whether some of the results of the finished run are missing."""
         try:
             made = read_json((self.folder / RESULTS).read_bytes())["made"]
             return made is None or not all((self.folder / Path(name).name).is_file() for name in made)
@@ -141,7 +141,7 @@ class Run:
         ]
 
     def _unfinished_note(self, taken: int) -> tuple[str, ...]:
-        """Say how much of the plan was measured, where it is not all."""
+        """Return notes on how much of the plan was measured; empty where all was."""
         history = self.trusted_history()
         out = history.progress.left_out
         planned = [i for i, step in enumerate(self.plan.steps) if isinstance(step, Read)]
@@ -158,9 +158,9 @@ class Run:
 
 
 def checked_name(name: str) -> str:
-    """Return the name of a run, which is that of its folder and an argument of commands.
+    """Return the name of a run; it is the name of its folder and an argument of commands.
 
-    Raises `RecordError` for one that could not be typed, or would lie elsewhere.
+    Raises `RecordError` for a name that cannot be typed, or would lead to another folder.
     """
     if re.fullmatch(r"\w[\w.+-]{0,99}", name) is None:
         raise RecordError(
@@ -170,9 +170,9 @@ def checked_name(name: str) -> str:
 
 
 def find_run(name: str, runs: Path) -> Run:
-    """Find a run by its name in the folder of runs, or by its path.
+    """Return the run with a name in the folder of runs, or with a path.
 
-    Raises `RecordError` that lists the runs there are.
+    Raises `RecordError` with the latest runs in the folder.
     """
     for folder in (runs / name, Path(name)):
         if (folder / MANIFEST).is_file():
@@ -190,18 +190,24 @@ def all_runs(runs: Path) -> list[Run]:
 
 
 FORMAT: Final = 2
-"""One more with every change in what is kept, or in what makes a record a damaged one."""
+"""Format of the cache; it grows with every change in its content or in the rules for a damaged record."""
 
 SETTLED_S: Final = 2.0
-"""Files changed less than this ago may change once more without their times showing it: they are read again."""
+"""Least age of the last change in a run's files for its digest to be cached, s.
+
+A file changed later than this may change again without a new time stamp.
+"""
 
 Stamp = list[list[Any]]
-"""Of each file that a run is told by: name, size, times of its contents and of its entry (ns), device and place."""
+"""The state of a run's files.
+
+For each file: name, size, times of its contents and of its entry (ns), device and inode.
+"""
 
 
 @dataclass(frozen=True)
 class Digest:
-    """What became of a run, how many readings stand in its record, and what is wrong with it (sentences)."""
+    """A summary of a run: its state, the number of recorded readings, and the problems (sentences)."""
 
     state: RunState
     readings: int
@@ -209,18 +215,18 @@ class Digest:
 
     @classmethod
     def of(cls, run: Run) -> Digest:
-        """Read a run. Raises `RecordError` where it cannot be."""
+        """Return the digest of a run. Raises `RecordError` where the run cannot be read."""
         history = run.history
         return cls(history.state, len(history.readings), history.problems)
 
 
 def cache_folder() -> Path:
-    """Return where digests are kept."""
+    """Return the folder in which digests are cached."""
     return Path(platformdirs.user_cache_dir("triaxial-bench")) / "runs"
 
 
 class Digests:
-    """The digests of the runs in a folder. `save` keeps those that were read since, where that can be done."""
+    """The digests of the runs in a folder; `save` caches those that were read anew, where it can."""
 
     def __init__(self, runs: Path, cache: Path | None = None, now: Callable[[], datetime] = utc_now) -> None:
         self._file = (cache or cache_folder()) / f"{sha256(os.fsencode(runs.absolute()))[:32]}.json"
@@ -229,7 +235,7 @@ class Digests:
         self._changed = False
 
     def of(self, run: Run) -> Digest:
-        """Return the digest of a run, read if need be. Raises `RecordError` where it cannot be."""
+        """Return the cached or new digest of a run. Raises `RecordError` where the run cannot be read."""
         try:
             kept = self._kept[run.name]
             names = [row[0] for row in kept["stamp"]]
@@ -256,7 +262,7 @@ class Digests:
         return digest
 
     def save(self) -> None:
-        """Keep what was read, where there is a place for it."""
+        """Save the new digests, where the cache folder can be written."""
         if not self._changed:
             return
         text = json.dumps(self._kept)
@@ -275,7 +281,7 @@ class Digests:
 
 
 def _kept_in(file: Path) -> dict[str, dict[str, Any]]:
-    """Return what a file keeps, nothing where it is none of ours or not as it was written."""
+    """Return the content of a cache file; empty if another program wrote it, or it was changed."""
     try:
         head, _, text = file.read_text(encoding="utf-8").partition("\n")
         if json.loads(head) == {"format": FORMAT, "sha256": sha256(text.encode())}:
@@ -287,7 +293,7 @@ def _kept_in(file: Path) -> dict[str, dict[str, Any]]:
 
 
 def _stamp(folder: Path, names: list[str]) -> Stamp:
-    """Return the stamp of files; of one that is not there the name alone."""
+    """Return the stamp of files; for a missing file it holds the name alone."""
     rows: Stamp = []
     for name in names:
         try:

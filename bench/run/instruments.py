@@ -27,9 +27,9 @@ from drivers.person import Person, Prompt, PromptKind
 
 @dataclass(frozen=True)
 class Instruments:
-    """The bench as the runner sees it. Together the voltmeters carry the channels x, y, z once each.
+    """The instruments of a bench as the runner sees them. Together the voltmeters carry x, y, z once each.
 
-    `opened` are the names of those that were opened: another one may be somebody else's.
+    `opened` are the names of the instruments that were opened: another program may be using the others.
     """
 
     voltmeters: Sequence[Voltmeter]
@@ -46,7 +46,7 @@ class Instruments:
         return [*self.voltmeters, self.head, *(one for one in further if one is not None)]
 
     def open(self) -> dict[str, Identity]:
-        """Open everything and return the identities by name. Raises every failure at once."""
+        """Open all instruments; return the identities by name. Raises the errors of all failures together."""
         identities: dict[str, Identity] = {}
         failures: list[BenchError] = []
         for instrument in self.all():
@@ -61,11 +61,14 @@ class Instruments:
 
 
 NO_SERIAL: Final = frozenset({"", "0", "-"})
-"""What an instrument says that states none: a 34401A answers 0, whichever it is."""
+"""Answers of instruments without a serial number: every 34401A answers 0."""
 
 
 def same_serials(identities: Mapping[str, Identity]) -> list[str]:
-    """Return a sentence for each serial number that several instruments (by name) of one model state."""
+    """Return a sentence for each serial number that several instruments of one model state.
+
+    `identities` are by name.
+    """
     names: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for name, identity in identities.items():
         if identity.serial.strip() not in NO_SERIAL:
@@ -79,7 +82,7 @@ def same_serials(identities: Mapping[str, Identity]) -> list[str]:
 
 
 def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str, str]) -> None:
-    """Ask before going on with other instruments than those that the run was begun with; identities by name."""
+    """Ask before going on with other instruments than those at the start; identities are by name."""
     changed = [
         f"{name} was {identity} and is now {now.get(name, 'gone')}"
         for name, identity in before.items()
@@ -91,7 +94,7 @@ def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str,
 
 
 def told_at_mounting(instruments: Instruments, key: str) -> float | None:
-    """Return what a person tells, °C; None where nobody is asked. Raises `BenchError`."""
+    """Return the temperature that a person gives, °C; None where nobody is asked. Raises `BenchError`."""
     chamber, thermometer = instruments.chamber, instruments.thermometer
     if thermometer is not None:
         return thermometer.block_c(key) if thermometer.asks_person else None
@@ -101,9 +104,9 @@ def told_at_mounting(instruments: Instruments, key: str) -> float | None:
 def told_at_reading(
     instruments: Instruments, known_c: float | None, key: str
 ) -> tuple[float | None, float | None]:
-    """Return the temperature of the block and, beside a thermometer of its own, the air of the chamber, °C.
+    """Return the temperatures of the block and, if it has its own thermometer, of the chamber's air, °C.
 
-    A person is asked once after each mounting and each new temperature: after that it is `known_c`.
+    A person is asked once after each mounting and each new temperature; later the block's is `known_c`.
     Raises `BenchError`.
     """
     chamber, thermometer = instruments.chamber, instruments.thermometer
@@ -120,11 +123,11 @@ def told_at_reading(
 def leave_safe(
     instruments: Instruments, demanded_c: float | None, power: UnitPower | None = None
 ) -> dict[str, str]:
-    """Leave the block as is safe for it, set the chamber to its safe setting, close everything.
+    """Leave the block in its safe state, set the chamber to its safe setting, close all instruments.
 
-    A head then stops, a meter goes to local. A chamber that was not opened is another program's, or as it was
-    before: it is left so, and so is a block that this run has not switched. `demanded_c` is what the chamber was
-    last sent to, None where it was not. Returns what a person must still do, by instrument.
+    A head then stops, and a meter returns to local operation. A chamber that was not opened is left as it is,
+    because another program may use it; so is a block that this run has not switched. `demanded_c` is the
+    chamber's last set point, None where there was none. Returns the tasks left for a person, by instrument.
     """
     to_do = {}
     if power is not None and (note := power.leave()):
@@ -151,12 +154,12 @@ def _standby(chamber: ThermalChamber, demanded_c: float | None) -> str:
 
 
 def with_notes(error: BaseException) -> str:
-    """Return the sentence of an error with what was noted on it on the way out."""
+    """Return the sentence of an error, with the notes added to it on the way out."""
     return "; ".join(filter(None, (str(error), *getattr(error, "__notes__", ()))))
 
 
 def how_it_stopped(cause: BaseException, wish: RunControl | None) -> tuple[EventType, dict[str, str]]:
-    """Return the event that tells what stopped a run; `wish` is the one to stop that interrupted it, if any."""
+    """Return the event for the stop of a run; `wish` is the wish to stop that interrupted it, if any."""
     if isinstance(cause, Exception):
         instrument = cause.instrument if isinstance(cause, BenchError) else ""
         return EventType.RUN_FAILED, {"error": with_notes(cause), "instrument": instrument}

@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP, heard where they do no harm. The program begins with it: it imports nothing heavy."""
+"""Ctrl-C, SIGTERM and SIGHUP, heard where they do no harm. Imported first, so it imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP"
 NOT_DONE: Final = 2
 """Exit status of a program that was stopped."""
 _OUTSIDE_S: Final = 0.01
-"""After so long what must not be interrupted by an exception is over."""
+"""Delay after which a callback whose exceptions are dropped has ended."""
 
 Handler = Callable[[int, FrameType | None], Any] | int | None
 
 
 def interrupt_main() -> None:
-    """Do to the main thread what Ctrl-C does, also where it waits for the system."""
+    """Interrupt the main thread as Ctrl-C does, also while it waits for the system."""
     main = threading.main_thread().ident
     if hasattr(signal, "pthread_kill") and main is not None:
         signal.pthread_kill(main, signal.SIGINT)
@@ -34,12 +34,12 @@ def interrupt_main() -> None:
 
 
 class Interrupts:
-    """Within its context signals (`numbers`) raise `KeyboardInterrupt` where the table above says so.
+    """A context within which signals (`numbers`) raise `KeyboardInterrupt` where the table above says so.
 
-    Python drops what is raised in a weak reference's callback or in a `__del__`: it is raised again after that.
-    `haste` is what a further signal asks of the instruments; `end` ends the program with a status. `any_heard` says
-    whether one was heard by any of them. Within another one, that of the whole program, an error that leaves the
-    context ends the program: until it is told, no signal is heard.
+    Python drops an exception raised in a weak reference's callback or in a `__del__`; it is raised again
+    afterwards. `haste` is the request to the instruments that a further signal makes. `end` ends the program
+    with a status. `any_heard` says whether any of these contexts heard a signal. An error that leaves a
+    context within that of the whole program ends the program: until it is reported, no signal is heard.
     """
 
     any_heard: ClassVar[bool] = False
@@ -74,7 +74,7 @@ class Interrupts:
 
     @contextmanager
     def shield(self) -> Iterator[None]:
-        """Hold back a signal until the end of this context."""
+        """Delay a signal until the end of this context."""
         self._shielded += 1
         try:
             yield
@@ -86,14 +86,14 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def hold(self) -> None:
-        """Begin the way out: no signal raises anything any more."""
+        """Begin the way out: from now on no signal raises an exception."""
         self._held = True
 
     def release(self, last_words: str) -> None:
-        """End the way out: the bench is safe, and what is still to be done can be done another time.
+        """End the way out: the bench is safe, and the remaining work can be done at another time.
 
-        `last_words` are said where a second signal ends the program. Raises `KeyboardInterrupt` where one was heard
-        since `hold`.
+        `last_words` are printed if a second signal ends the program. Raises `KeyboardInterrupt` where a
+        signal was heard.
         """
         self._last_words, self._held = last_words, False
         if self._heard:
@@ -122,7 +122,7 @@ class Interrupts:
         self._end(NOT_DONE)
 
     def _dropped(self, dropped: sys.UnraisableHookArgs) -> None:
-        """Have a signal raise again whose exception came where none can be raised."""
+        """Raise a signal's exception again if Python had to drop it."""
         if not issubclass(dropped.exc_type, KeyboardInterrupt):
             self._told_before(dropped)
             return
@@ -131,7 +131,7 @@ class Interrupts:
 
 
 def _unheard(number: int, frame: FrameType | None) -> None:
-    """Do nothing, and say nothing of a signal just before it, as Python does where it is set to be ignored."""
+    """Ignore a signal; with `SIG_IGN`, Python would print a message about a signal just before."""
 
 
 def _interrupt_soon() -> None:

@@ -1,4 +1,4 @@
-"""What reaches a run from outside: a computer that slept, wishes, answers of the operator."""
+"""The inputs to a run from outside: a computer that slept, wishes, and answers of the operator."""
 
 from __future__ import annotations
 
@@ -31,13 +31,14 @@ from drivers.interfaces import NoAnswer
 from drivers.person import Answer, Prompt
 
 GAP_S: Final = 30.0
-"""What the two may differ by between two events: a civil clock is set by less all the time."""
+"""Least jump of civil time against bench time that is reported, s; clocks are often set by less."""
 
 
 class ClockWatch:
-    """Compares civil time, as `civil` gives it, with the bench's, `now_s` in s, from event to event.
+    """Compares the civil time `civil` with the bench time `now_s` (s) from event to event.
 
-    While a computer sleeps its civil time goes on; the clock by which the bench waits does not, on most systems.
+    Civil time continues while a computer sleeps. The clock by which the bench waits stops then, on most
+    systems.
     """
 
     def __init__(self, civil: Callable[[], datetime], now_s: Callable[[], float]) -> None:
@@ -46,7 +47,7 @@ class ClockWatch:
         self._last: tuple[datetime, float] | None = None
 
     def gap_s(self) -> float:
-        """Return by how much civil time has gone ahead since the last call, s; 0 where that is little."""
+        """Return the lead that civil time gained over bench time since the last call, s; 0 if it is small."""
         civil, now_s = self._civil(), self._now_s()
         last, self._last = self._last, (civil, now_s)
         if last is None:
@@ -56,11 +57,11 @@ class ClockWatch:
 
 
 LISTEN_S: Final = 0.1
-"""So often is looked for what was left in a run's folder."""
+"""Interval at which the run's folder is checked for wishes and answers, s."""
 
 
 class WishListener:
-    """The wishes left in a folder (`Controls`); within its context one to stop interrupts the program.
+    """The wishes left in a folder (`Controls`); within its context a wish to stop interrupts the program.
 
     `stopped` is the first wish to stop that was heard.
     """
@@ -85,7 +86,7 @@ class WishListener:
             self._thread.join()
 
     def poll(self) -> RunControl | None:
-        """Return the next wish, None where there is none. Raises `Stopped` for one to stop."""
+        """Return the next wish, None where there is none. Raises `Stopped` for a wish to stop."""
         if (stop := self._take_in()) is not None:
             raise Stopped(stop)
         return self._waiting.popleft() if self._waiting else None
@@ -96,7 +97,7 @@ class WishListener:
                 self._interrupt()
 
     def _take_in(self) -> RunControl | None:
-        """Take in what was left; return a wish to stop, which comes before all others."""
+        """Read the new wishes; return a wish to stop, which comes before all others, or None."""
         with self._taking:
             while (control := self._controls.poll()) is not None:
                 if control.wish is Wish.STOP:
@@ -107,33 +108,35 @@ class WishListener:
 
 
 LOOK_S: Final = 1.0
-"""So often `meanwhile` is called while a question waits."""
+"""Interval between calls of `meanwhile` while a question waits, s."""
 READ_S: Final = 0.7
-"""Nobody reads a question and types its answer faster: what comes sooner at the terminal, after a question that was
-answered elsewhere, was typed for that one."""
+"""Least time in which a person can read a question and type its answer, s.
+
+After a question that was answered elsewhere, an earlier line at the terminal was typed for that question.
+"""
 
 Tell = Callable[[EventType, dict[str, Any]], object]
 
 
 class CountingRecord(Protocol):
-    """A record that knows how many events it has."""
+    """A record that knows the number of its events."""
 
     @property
     def count(self) -> int:
-        """How many events were written."""
+        """The number of events written."""
         ...
 
 
 class _Elsewhere(Exception):
-    """Somebody has answered in the run's folder; its text is the answer."""
+    """Somebody has answered in the run's folder; the text of the exception is the answer."""
 
 
 class Asker:
-    """The person of a run, asked at a terminal (or none) and in the run's `folder`.
+    """The person of a run, who is asked at a terminal (or none) and in the run's `folder`.
 
-    The first `heard` answers in the folder were heard before. Until `attach` the record is told by `tell`, and no
-    wish is heard but the one to stop. `answered_by` is who gave the last answer.
-    It is a `drivers.interfaces.WatchingPerson`.
+    The first `heard` answers in the folder were heard before. Until `attach`, events are recorded by `tell`,
+    and only the wish to stop is heard. `answered_by` is the author of the last answer. It is a
+    `drivers.interfaces.WatchingPerson`.
     """
 
     def __init__(
@@ -162,16 +165,16 @@ class Asker:
         self._looked_s = 0.0
 
     def attach(self, tell: Tell, controls: Controls) -> None:
-        """Ask for a run from now on, which records by `tell`; the wishes of `controls` are heard at questions."""
+        """Ask for a run from now on: record events by `tell`, hear the wishes of `controls`."""
         self._tell, self._controls, self._wishes = tell, controls, None
         if self.terminal is not None:
             self.terminal.wishes = None
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Put the prompt and return the first answer that fits, or from the terminal one that the caller refuses.
+        """Put the prompt; return the first answer that fits, or a terminal's answer that does not.
 
-        Put again after that it is still the same question on record. Raises `OperatorWish` for a wish, and
-        `NoAnswer` where the answers of the terminal have ended.
+        The caller refuses the latter. When the caller puts the prompt again, it stays the same question on
+        record. Raises `OperatorWish` for a wish, and `NoAnswer` where the answers of the terminal have ended.
         """
         question = prompt.id.rpartition("#")[0]
         if not question or question != self._refused:
@@ -187,14 +190,14 @@ class Asker:
         return Answer(prompt.id, text)
 
     def drain(self) -> None:
-        """Refuse what is left in the folder while nothing is asked."""
+        """Refuse the answers left in the folder while no question is open."""
         while (left := self._answers.poll()) is not None:
             self._refuse(left, self._why_stale(left))
 
     # --- where an answer may come from ---------------------------------------------------------------
 
     def _at_terminal(self, terminal: TerminalPerson, prompt: Prompt) -> str:
-        """Return the line that is typed; one that does not fit, too, for the caller to say so and ask again."""
+        """Return the typed line, also one that does not fit: the caller says so and asks again."""
         asked_s, after_another = self._clock.now_s(), self.answered_by.where not in ("", terminal.who.where)
         while True:
             try:
@@ -220,7 +223,7 @@ class Asker:
             self._clock.sleep(LISTEN_S)
 
     def _listen(self) -> None:
-        """Look for wishes and answers, and do meanwhile what is to be done. Raises `_Elsewhere`, `OperatorWish`."""
+        """Hear wishes and answers; call `meanwhile` when it is due. Raises `_Elsewhere`, `OperatorWish`."""
         prompt = self._prompt
         if prompt is None:
             return

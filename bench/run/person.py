@@ -1,4 +1,4 @@
-"""The person at a run: wishes, answers left in its folder, prompts and what is wrong with an answer."""
+"""The person at a run: wishes, answers left in the run's folder, prompts, and problems with an answer."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ from drivers.person import Person, Prompt, PromptKind
 
 CONTROL: Final = "control.jsonl"
 SIGN: Final = ":"
-"""A line at the terminal that begins with it is a wish: ":redo", ":skip the cable came loose"."""
+"""First character of a wish typed at the terminal: ":redo", ":skip the cable came loose"."""
 
 
 @dataclass(frozen=True)
 class WishAuthor:
-    """Who wished or answered something, in which role ("operator", "supervisor"), and where.
+    """The author of a wish or an answer, the role ("operator", "supervisor"), and the place.
 
-    `where` is "terminal", "panel", or "command" for `bench control`. Old records do not say: then all are empty.
+    `where` is "terminal", "panel", or "command" for `bench control`. Old records do not say: then all are
+    empty.
     """
 
     by: str = ""
@@ -43,7 +44,7 @@ class WishAuthor:
 
     @classmethod
     def from_json(cls, line: Mapping[str, Any]) -> WishAuthor:
-        """Return who an event, or a line left in a run's folder, says it was."""
+        """Return the author stated in an event or in a line left in a run's folder."""
         return cls(*(str(line.get(name, "")) for name in ("by", "role", "where")))
 
 
@@ -51,7 +52,7 @@ NOBODY_KNOWN: Final = WishAuthor()
 
 
 def at_the_shell(where: str) -> WishAuthor:
-    """Return who this program runs for: whoever has a shell in the runs' folder counts as a supervisor."""
+    """Return the user of this program as author; whoever has a shell in the runs' folder is a supervisor."""
     try:
         name = getpass.getuser()
     except (OSError, KeyError, ImportError):  # no such user, or no such list of them
@@ -61,7 +62,7 @@ def at_the_shell(where: str) -> WishAuthor:
 
 @dataclass(frozen=True)
 class RunControl:
-    """A wish, the reason given for it, whether the person at the prompt has it (or another program), and who."""
+    """A wish, its reason and its author; `by_person` says that the person at the prompt has it."""
 
     wish: Wish
     reason: str = ""
@@ -69,16 +70,16 @@ class RunControl:
     who: WishAuthor = NOBODY_KNOWN
 
     def to_json(self) -> dict[str, str]:
-        """Return it as it is left in a run's folder."""
+        """Return the wish as a line in the run's folder records it."""
         return {"wish": self.wish.value, "reason": self.reason, **self.who.to_json()}
 
     def told(self) -> dict[str, str]:
-        """Return the reason and who, as an event tells them."""
+        """Return the reason and the author, as an event records them."""
         return {"reason": self.reason, **self.who.to_json()}
 
     @classmethod
     def from_json(cls, line: Mapping[str, Any]) -> RunControl:
-        """Return another program's wish. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
+        """Return the wish in a line. Raises `KeyError`, `TypeError`, `ValueError` where there is none."""
         return cls(Wish(line["wish"]), str(line.get("reason", "")), who=WishAuthor.from_json(line))
 
 
@@ -91,7 +92,7 @@ class OperatorWish(Exception):
 
 
 class Stopped(KeyboardInterrupt):
-    """Somebody wished the run to stop: what Ctrl-C is, with who it was."""
+    """Somebody wished the run to stop: the same as Ctrl-C, with the author of the wish."""
 
     def __init__(self, control: RunControl) -> None:
         super().__init__()
@@ -99,12 +100,12 @@ class Stopped(KeyboardInterrupt):
 
 
 def raised(control: RunControl) -> OperatorWish | Stopped:
-    """Return the exception by which a wish leaves what is under way."""
+    """Return the exception that ends the present step because of a wish."""
     return Stopped(control) if control.wish is Wish.STOP else OperatorWish(control)
 
 
 class Controls(Protocol):
-    """Where wishes come from; `stopped` is the wish to stop by which the program was interrupted."""
+    """The source of wishes; `stopped` is the wish to stop that interrupted the program."""
 
     @property
     def stopped(self) -> RunControl | None:
@@ -117,7 +118,7 @@ class Controls(Protocol):
 
 
 class NoControls:
-    """Nobody has a wish."""
+    """A source without wishes."""
 
     stopped: RunControl | None = None
 
@@ -127,14 +128,14 @@ class NoControls:
 
 
 class ControlFile:
-    """Wishes left in the folder of a run, one JSON line each; those that were there before count as heard."""
+    """The wishes left in the folder of a run, one JSON line each; earlier lines count as heard."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / CONTROL
         self._heard = self._path.stat().st_size if self._path.exists() else 0
 
     def poll(self) -> RunControl | None:
-        """Return the next wish; a half-written line waits, one that is no wish is passed over."""
+        """Return the next wish, or None; half-written lines wait, lines without a wish are passed over."""
         while (line := self._line()).endswith(b"\n"):
             self._heard += len(line)
             with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
@@ -151,14 +152,14 @@ class ControlFile:
 
 
 def leave_wish(folder: Path, control: RunControl) -> None:
-    """Leave a wish in the folder of a run. Raises `OSError` where it cannot be written."""
+    """Write a wish into the folder of a run. Raises `OSError` where it cannot be written."""
     line = in_json(json.dumps(control.to_json(), ensure_ascii=False))
     with open_regular(folder / CONTROL, "ab") as file:
         file.write(line.encode() + b"\n")
 
 
 def parse_wish(text: str) -> RunControl:
-    """Read a wish as typed, such as ":skip the cable came loose", with or without the sign.
+    """Return a typed wish, such as ":skip the cable came loose"; the sign may be missing.
 
     Raises `ValueError` with the list of wishes for anything else, and for a skip without a reason.
     """
@@ -175,21 +176,21 @@ def parse_wish(text: str) -> RunControl:
 
 ANSWERS: Final = "answers.jsonl"
 LONGEST: Final = 4000
-"""No answer has as many characters; a line with more is none."""
+"""Greatest length of an answer in characters; a longer text is no answer."""
 
 YES: Final = frozenset({"y", "yes", "ok", "done"})
 NO: Final = frozenset({"n", "no"})
 REASON: Final = "REASON"
-"""The end of a choice that stands for words of one's own: "go on REASON"."""
+"""Placeholder at the end of a choice, for words of the person's own: "go on REASON"."""
 
 # --- answers left in a run's folder ------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class LeftAnswer:
-    """An answer to the question `id`, as typed, and who gave it; `line` is which of its file it is, from 1.
+    """An answer to the question `id`, as typed, with its author; `line` is its number in the file, from 1.
 
-    `flaw` says why it is none, where a line cannot be read.
+    `flaw` says what is wrong with a line that cannot be read.
     """
 
     id: str
@@ -199,19 +200,19 @@ class LeftAnswer:
     flaw: str = ""
 
     def to_json(self) -> dict[str, str]:
-        """Return it as it is left in a run's folder."""
+        """Return the answer as a line in the run's folder records it."""
         return {"id": self.id, "answer": self.answer, **self.who.to_json()}
 
 
 def leave_answer(folder: Path, answer: LeftAnswer) -> None:
-    """Leave an answer in the folder of a run. Raises `OSError` where it cannot be written."""
+    """Write an answer into the folder of a run. Raises `OSError` where it cannot be written."""
     line = in_json(json.dumps(answer.to_json(), ensure_ascii=False)).encode() + b"\n"
     with open_regular(folder / ANSWERS, "ab") as file:
         file.write(line)
 
 
 class AnswersFile:
-    """The answers left in the folder of a run, in their order, from the line after the first `heard`."""
+    """The answers left in the folder of a run, in order; the first `heard` lines are passed over."""
 
     def __init__(self, folder: Path, heard: int = 0) -> None:
         self._path = folder / ANSWERS
@@ -223,13 +224,13 @@ class AnswersFile:
     def poll(self) -> LeftAnswer | None:
         """Return the next answer, None where there is none; a half-written line waits.
 
-        A line that is no answer comes as one with a `flaw` and no id.
+        A line that cannot be read gives an answer with a `flaw` and without an id.
         """
         found = self._next()
         return None if found is None else _read_answer(found, self._line)
 
     def _next(self) -> bytes | None:
-        """Return the next whole line, however long it is no more than its beginning."""
+        """Return the next whole line; of an overlong line only the beginning."""
         try:
             with open_regular(self._path) as file:
                 file.seek(self._place)
@@ -265,14 +266,14 @@ def _read_answer(line: bytes, number: int) -> LeftAnswer:
 
 @dataclass(frozen=True)
 class AskedPrompt:
-    """A question on record: its event, and the prompt, whose `id` is the one that an answer to it names."""
+    """A question on record: its event and its prompt. An answer names the `id` of this prompt."""
 
     event: Event
     prompt: Prompt
 
 
 def asked_to_json(prompt: Prompt) -> dict[str, Any]:
-    """Return what is recorded of a prompt."""
+    """Return the fields of a prompt that the record keeps."""
     return {
         "id": prompt.id,
         "kind": prompt.kind.value,
@@ -288,7 +289,7 @@ def asked_to_json(prompt: Prompt) -> dict[str, Any]:
 
 
 def _asked(event: Event) -> AskedPrompt | None:
-    """Return the prompt of an event, None for one that only another version can put."""
+    """Return the question in an event; None for a prompt that this version does not know."""
     data = event.data
     try:
         prompt = Prompt(
@@ -320,12 +321,12 @@ _STANDS: Final = frozenset(
         EventType.CERTIFICATE,
     }
 )
-"""After these a question still stands; after any other event it does not."""
+"""Events after which a question is still open; any other event closes it."""
 
 
 @dataclass
 class OpenPrompt:
-    """Follows a run's events, one after the other, and knows which question stands."""
+    """Follows a run's events in order, and knows the open question."""
 
     _event: Event | None = field(default=None, init=False)
 
@@ -338,14 +339,14 @@ class OpenPrompt:
 
     @property
     def prompt(self) -> AskedPrompt | None:
-        """The question that stands, None where none does."""
+        """The open question, None where there is none."""
         return None if self._event is None else _asked(self._event)
 
 
 def open_prompt(events: Iterable[Event]) -> AskedPrompt | None:
-    """Return the question that stands after events of a run, in their order; None where none does.
+    """Return the question that is open after the events of a run, in their order; None where none is.
 
-    Somebody hears an answer only as long as a program carries out the run.
+    An answer is heard only as long as a program carries out the run.
     """
     found = OpenPrompt()
     for event in events:
@@ -357,10 +358,11 @@ def open_prompt(events: Iterable[Event]) -> AskedPrompt | None:
 
 
 def problem_with_answer(prompt: Prompt, text: str) -> str:
-    """Say what is wrong with an answer, in words; empty when it fits the prompt's kind, limits and target.
+    """Return what is wrong with an answer, in words; empty when it fits the prompt's kind, limits and target.
 
-    An empty answer is the prompt's default, where it has one. What is read from a scale or a display is judged by
-    the rules of the driver that asks. Nothing is changed: it can be called while an answer is being typed.
+    An empty answer means the prompt's default, where it has one. Values read from a scale or a display are
+    judged by the rules of the driver that asks. The function changes nothing, so that it can be called while
+    somebody types.
     """
     given = text.strip() or prompt.default or ""
     try:
@@ -379,7 +381,7 @@ def problem_with_answer(prompt: Prompt, text: str) -> str:
 
 
 def understood_answer(prompt: Prompt, text: str) -> str:
-    """Return how an answer that fits is understood, such as `120° 30′ 15.0″` or `23.5 °C`; empty for another."""
+    """Return the meaning of an answer that fits, such as `120° 30′ 15.0″` or `23.5 °C`; else empty."""
     if problem_with_answer(prompt, text):
         return ""
     given = text.strip() or prompt.default or ""
@@ -402,9 +404,9 @@ _BY_EYE: Final = frozenset({"turn", "read_temperature", "read_level", "read_supp
 
 
 def _read_by_eye(prompt: Prompt, given: str) -> float | None:
-    """Return what was read from a scale or a display (rad, °C, V or A); None where nothing was to be read.
+    """Return the value read from a scale or a display (rad, °C, V or A); None where no value was asked for.
 
-    Raises `ValueError` with the trouble in a sentence.
+    Raises `ValueError` with the problem in a sentence.
     """
     action: Any = prompt.action  # of a record, which may say anything
     match action.get("do"), prompt.kind:
@@ -467,14 +469,15 @@ def _spaced(angle_rad: float) -> str:
 
 MOST_ATTEMPTS: Final = 20
 MOST_WAITS: Final = 1000
-"""So often may a task be answered with "no": more is nobody who reads the question."""
+"""Greatest number of answers "no" to a task: somebody who gives more does not read the question."""
 
 
 def ask(person: Person, prompt: Prompt) -> str:
     """Put the prompt until its answer fits; return the answer's text, the default for an empty one.
 
-    `prompt.id` is the step's key; "#1", "#2"… is added for each attempt, and an answer to another id is
-    stale and ignored. Raises `NoAnswer` when nobody answers, `BenchError` after five answers that do not fit.
+    `prompt.id` is the step's key; "#1", "#2"… is added for each attempt, and an answer to another id is stale
+    and ignored. Raises `NoAnswer` when nobody answers, `BenchError` after `MOST_ATTEMPTS` answers that do not
+    fit.
     """
     text = prompt.text
     for attempt in range(1, MOST_ATTEMPTS + 1):
@@ -490,7 +493,7 @@ def ask(person: Person, prompt: Prompt) -> str:
 
 
 def confirm(person: Person, prompt: Prompt) -> None:
-    """Have a task done; "no" waits: the question stands again until it is. Raises what `ask` raises."""
+    """Have a task done; after "no" the question is put again until it is done. Raises the errors of `ask`."""
     put = prompt
     for wait in range(1, MOST_WAITS + 1):
         if ask(person, put).lower() not in NO:
@@ -501,7 +504,7 @@ def confirm(person: Person, prompt: Prompt) -> None:
 
 
 def agree(person: Person, prompt: Prompt) -> None:
-    """Ask for leave to go on. Raises `BenchError` when the person says no, beside what `ask` raises."""
+    """Ask for permission to go on. Raises `BenchError` when the person says no, and the errors of `ask`."""
     if ask(person, prompt).lower() in NO:
         raise BenchError("operator", f"answered no to: {prompt.text}", "go on when that is settled")
 
@@ -528,7 +531,7 @@ UNTOUCHED: Final = "untouched"
 def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
     """Return the task of mounting the block, with a drawing of the installation where there is one.
 
-    It has no default: a key hit by chance mounts nothing. `chamber` says whether there is one to be closed.
+    It has no default: a key hit by chance mounts nothing. `chamber` says whether there is a chamber to close.
     """
     close = ", close the chamber" if chamber else ""
     again = "" if step.series == 1 else f" (visit {step.series})"
@@ -542,7 +545,7 @@ def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
 
 
 def untouched_prompt(step: Mount) -> Prompt:
-    """Return the question whether the block is still mounted as this step left it."""
+    """Return the question whether the block is still mounted as the step `step` left it."""
     text = (
         f"The block was mounted in installation {step.installation}. Is it untouched since? "
         "If not, mount it again now, and say so"

@@ -30,9 +30,9 @@ from drivers.making_safe import Attempts
 from drivers.person import Person, Prompt, PromptKind, WatchingPerson
 
 WATCH_S: Final = 10.0
-"""So often the rails are looked at while something is waited for."""
+"""Interval at which the rails are checked during a wait, s."""
 IN_RUSH_S: Final = 2.0
-"""After switching on; then a rail is looked at for the first time."""
+"""Time from switching on to the first check of the rails, s."""
 NAP_S: Final = 1.0
 
 ANEW: Final = "switch off and set anew"
@@ -40,16 +40,16 @@ STAYED_ON: Final = "it stayed on"
 WAS_OFF: Final = "it was off"
 
 _PASSING: Final = (InstrumentLost, BadReading, InstrumentRefused)
-"""Failures to look that the next look may not meet; a reading meets them again, and is not believed."""
+"""Failures of a check that the next check may not meet; a reading that meets them is not believed."""
 
 
 class RailFault(BenchError):
-    """A rail of the block is not as it should be: nothing that was read since it was last seen well is believed."""
+    """A rail of the block is not as it should be: readings since the last good check are not believed."""
 
 
 @dataclass(frozen=True)
 class Feeding:
-    """How the bench file says that the block is fed, and what the supply can do, where that is known."""
+    """The supply of the block as the bench file states it, with its limits where they are known."""
 
     section: UnitSupplySection
     limits: SupplyLimits | None = None
@@ -57,12 +57,12 @@ class Feeding:
 
 @dataclass
 class UnitPower:
-    """The block's supply, on a `clock` whose time since the run began is `now_s`.
+    """The block's supply during a run; `now_s` gives the bench time since the run began, s.
 
-    `nap` is called while something is waited for, and hears wishes; `tell` records what was done. `on` is whether
-    the block is on by what was done and seen, `off_since_s` since when it is off (s since the run began, None where
-    nobody knows), `on_since_s` since when it is on, on the clock; `in_charge` whether this run has switched it, or
-    taken it as it was found.
+    `nap` is called during waits and hears wishes; `tell` records events. `on` says whether the block is on,
+    by the switching done and the state seen. `off_since_s` is the time of switching off (s since the run
+    began, None where unknown), `on_since_s` the time of switching on, on `clock`. `in_charge` says whether
+    this run has switched the block, or has taken it over as found.
     """
 
     supply: PowerSupply
@@ -82,16 +82,16 @@ class UnitPower:
 
     @property
     def section(self) -> UnitSupplySection:
-        """How the bench file says that the block is fed."""
+        """The bench file's section on the block's supply."""
         return self.fed.section
 
     # --- switching -----------------------------------------------------------------------------------
 
     def have_on(self, key: str) -> None:
-        """See that the block is on, set and protected as the bench file says; one found so is left so.
+        """Ensure that the block is on, set and protected as the bench file says.
 
-        One that is found on and set otherwise, or on a part of its rails, is asked about. Raises `RailFault`,
-        `BenchError`.
+        A block found so is left so. Where the supply is set otherwise, or only some rails are on, the person
+        is asked. Raises `RailFault`, `BenchError`.
         """
         try:
             self.supply.set_up(self._settings(), key)
@@ -130,7 +130,7 @@ class UnitPower:
             )
 
     def _switch_on(self, key: str, *, set_up: bool = False) -> None:
-        """Set up, switch the rails on in their order, look at them. What is on when one fails is switched off."""
+        """Set up, switch the rails on in order, and check them; after a failure switch all off."""
         self._stay_off(key)
         if not set_up:
             self.supply.set_up(self._settings(), key)
@@ -157,7 +157,7 @@ class UnitPower:
         self._told("off", {})
 
     def cycle(self, off_s: float, key: str) -> None:
-        """Switch the block off and on again, off for `off_s` at least, and for the least time that it may be."""
+        """Switch the block off and on again, off for at least `off_s` and the bench file's least time."""
         self.switch_off(key)
         self._stay_off(key, off_s)
         self._switch_on(key)
@@ -170,7 +170,7 @@ class UnitPower:
         self.on, self.off_since_s = False, self.now_s()
 
     def _stay_off(self, key: str, off_s: float = 0.0) -> None:
-        """Wait until the block was off as long as it must be; since when it is off is not always known."""
+        """Wait until the block has been off long enough; an unknown time of switching off counts as now."""
         least_s = max(off_s, self.section.least_off)
         since_s = self.now_s() if self.off_since_s is None else self.off_since_s
         while (left_s := since_s + least_s - self.now_s()) > 0.0:
@@ -178,9 +178,9 @@ class UnitPower:
             self.clock.sleep(min(NAP_S, left_s))
 
     def _off(self, key: str) -> str:
-        """Switch everything off, whatever happens; return what a person must still do, empty for nothing.
+        """Switch everything off, whatever happens; return the task left for a person, or an empty string.
 
-        A person who works the supply is not asked on the way out, but told.
+        On the way out a person who works the supply gets a task, and no question.
         """
         rails = Attempts()
         for number, rail in enumerate(() if self.supply.asks_person else reversed(self.section.rails)):
@@ -198,9 +198,9 @@ class UnitPower:
         return told
 
     def leave(self) -> str:
-        """Leave the block as is safe for it, on every way out; return what a person must still do. Raises nothing.
+        """Leave the block in its safe state; return the task left for a person. Raises nothing.
 
-        What this run has not switched, nor taken over, is left as it was found.
+        A block that this run has neither switched nor taken over is left as it was found.
         """
         if not self.in_charge or self.section.when_unsafe == "stay-on":
             return ""
@@ -215,7 +215,7 @@ class UnitPower:
     # --- looking -------------------------------------------------------------------------------------
 
     def look(self, key: str) -> Mapping[str, Rail]:
-        """Return what the supply measures at each rail by its name. Raises `RailFault`, and what `state` raises."""
+        """Return the supply's measurements by rail. Raises `RailFault`, and the errors of `supply.state`."""
         states = self.supply.state(key)
         self._looked_s = self.clock.now_s()
         wrong = [
@@ -236,16 +236,16 @@ class UnitPower:
         return self._seen
 
     def at_reading(self, key: str) -> Mapping[str, Rail]:
-        """Look before or after a reading; none where the block is off on purpose.
+        """Return the rails' measurements before or after a reading; empty where the block is off on purpose.
 
-        A person was asked when the block was mounted, and is not asked at each reading. Raises as `look`.
+        A person is asked only when the block is mounted, not at each reading. Raises the errors of `look`.
         """
         if not self.on:
             return {}
         return self._seen if self.supply.asks_person else self.look(key)
 
     def watch(self, key: str) -> None:
-        """Look when it is time to, while something else goes on. Raises `RailFault` alone."""
+        """Check the rails when the check is due, during another task. Raises `RailFault` alone."""
         due = self.clock.now_s() - self._looked_s >= WATCH_S
         if not self.on or self.supply.asks_person or not due:
             return
@@ -257,7 +257,7 @@ class UnitPower:
             self._looked_s = self.clock.now_s()
 
     def watch_while_asked(self, *persons: Person | None) -> None:
-        """Have the rails watched while a question to one of these waits, where it can be."""
+        """Have the rails checked while a question to one of these persons waits, where that is possible."""
         if self.supply.asks_person:
             return
         for person in persons:
@@ -265,7 +265,7 @@ class UnitPower:
                 person.meanwhile = partial(self.watch, "asked")
 
     def is_as_left(self, key: str) -> bool:
-        """Whether the block has been on since it was switched on, by what the supply says, or the person."""
+        """Return whether the block has stayed on, as the supply's state shows or the person says."""
         if self.supply.asks_person:
             prompt = Prompt(
                 id=f"{key}/since",
@@ -280,7 +280,7 @@ class UnitPower:
         return not any(self._not_on(states, rail) for rail in self.section.rails)
 
     def _wrong(self, states: Mapping[str, OutputState], rail: RailSection) -> Iterator[str]:
-        """Yield what is wrong with a rail, a phrase each."""
+        """Yield a phrase for each fault of a rail."""
         state = self._of(states, rail)
         if not_on := self._not_on(states, rail):
             yield not_on
@@ -299,7 +299,7 @@ class UnitPower:
             yield from (f"was set otherwise: {what}" for what in differences)
 
     def _not_on(self, states: Mapping[str, OutputState], rail: RailSection) -> str:
-        """Say that a rail is off, empty where it is on."""
+        """Return the phrase that a rail is off; empty where it is on."""
         state = self._of(states, rail)
         if state.tripped:
             return "was switched off by a protection of the supply, which tripped"
@@ -335,10 +335,10 @@ def warm_up(
     on_progress: Callable[[Settling], None],
     key: str,
 ) -> tuple[float, tuple[float, ...]]:
-    """Wait until the block is warm; return how long after switching on that was, s, and at which signals, V.
+    """Wait until the block is warm; return the time since switching on, s, and the settled signals, V.
 
-    `stated_s` is a time in place of what the bench file says; `sample` returns the signals. Meanwhile the rails are
-    watched. Raises `RailFault`, `NotSettled`.
+    `stated_s` replaces the warm-up of the bench file; `sample` returns the signals. The rails are checked
+    during the wait. Raises `RailFault`, `NotSettled`.
     """
     wanted = power.section.warm_up if stated_s is None else stated_s
     clock = power.clock
@@ -379,7 +379,7 @@ def _until_settled(
 
 
 def begin(plan: Plan, switch: Switch) -> None:
-    """Have the block on and warm before the first step, where the plan leaves that to the run."""
+    """Switch the block on and warm it up before the first step, where the plan leaves that to the run."""
     if plan.begins_on():
         switch(SWITCHED_ON)
 
@@ -392,10 +392,10 @@ def take_up(
     switch: Switch,
     another_visit: Callable[[Read], None],
 ) -> None:
-    """Have the block as the steps before `first` left it; where it was off meanwhile, another visit begins.
+    """Bring the block to its state before the step `first`; if it was off meanwhile, another visit begins.
 
-    Whether it was off the record says, the supply, or for one that a person works the person. `another_visit` is
-    told the next reading of the visit that ends.
+    The record shows whether it was off; else the supply's state does, or the person who works the supply.
+    `another_visit` is called with the next reading of the visit that ends.
     """
     if not _on_at(plan, first):
         return
@@ -412,7 +412,7 @@ def take_up(
 
 
 def _on_at(plan: Plan, step: int) -> bool:
-    """Whether the block is to be on before a step."""
+    """Return whether the block is to be on before a step."""
     for before in reversed(plan.steps[:step]):
         if isinstance(before, Power):
             return before.switch != "off"
@@ -420,7 +420,7 @@ def _on_at(plan: Plan, step: int) -> bool:
 
 
 def _next_of_a_visit(plan: Plan, first: int, progress: PlanProgress) -> Read | None:
-    """Return the next reading on the present mounting, None where nothing was read yet on that visit."""
+    """Return the next reading on the present mounting; None where its visit has no reading yet."""
     for index in range(first, len(plan.steps)):
         step = plan.steps[index]
         if isinstance(step, Mount):

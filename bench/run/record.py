@@ -1,7 +1,7 @@
-"""A run on disk: an append-only chain of events, all on the disk before the next step; and read back.
+"""A run on disk: an append-only chain of events. Each event is on the disk before the next step.
 
-A record may hold many thousands of readings with all their samples. It is read once, and of a line no more is kept
-than resuming the run and evaluating it need.
+A record may hold many thousands of readings with all their samples. It is read once; only the parts of each
+line that resuming and evaluation need are kept.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from bench.run.resume import ENDS_A_POINT, PlanProgress, end_of_point, turn_befo
 
 
 class Events(Sequence[Event]):
-    """The events that were found good, read from the file each time that they are gone through."""
+    """The valid events of a record; they are read from the file at each iteration."""
 
     def __init__(self, path: Path, count: int, last: Event | None) -> None:
         self._path, self._count, self._last = path, count, last
@@ -73,13 +73,14 @@ class Events(Sequence[Event]):
 
 @dataclass(frozen=True)
 class History:
-    """What the events of a run say, what is wrong with the file in sentences, and `torn`, a half-written last line.
+    """The content of a run's record, and what is wrong with the file.
 
-    `head` is the SHA-256 of the last whole line, which stands for all before it, `length` the bytes up to there.
-    `taken` are readings and the marks of a mounting in the middle of a run, in the order of measurement, without
-    their samples; `identities` those of the instruments when the run was begun, `serials` their serial numbers
-    where the bench has certificates; `levelled` what the level showed, with the bench time. What follows on a line
-    that cannot be believed is left out of everything.
+    `problems` are sentences about the file; `torn` is a half-written last line. `head` is the SHA-256 of the
+    last whole line, which stands for all lines before it; `length` is the number of bytes up to there.
+    `taken` are the readings without their samples, in the order of measurement; None marks a mounting in the
+    middle of a run. `identities` are those of the instruments when the run was begun, `serials` their serial
+    numbers where the bench has certificates. `levelled` are the results of the level with their bench time.
+    Events after an invalid line are left out of all fields.
     """
 
     events: Events
@@ -96,7 +97,7 @@ class History:
 
     @property
     def readings(self) -> dict[int, Reading]:
-        """The readings by step, in the order of measurement; of a step taken again the last. Without samples."""
+        """The readings by step in the order of measurement, without samples; of a repeated step, the last."""
         by_step: dict[int, Reading] = {}
         for one in self.taken:
             if one is not None:
@@ -124,7 +125,7 @@ def read_history(folder: Path) -> History:
 
 
 class _Reader:
-    """Goes through the lines of a record, as long as they can be believed."""
+    """Reads the lines of a record up to the first invalid one."""
 
     def __init__(self, manifest_sha256: str) -> None:
         self._head, self._length, self._torn = manifest_sha256, 0, ""
@@ -138,7 +139,7 @@ class _Reader:
         self._levelled: list[tuple[float, Levelled]] = []
 
     def read(self, file: BinaryIO) -> list[str]:
-        """Take the lines; return what is wrong with the first that cannot be believed."""
+        """Read the lines; return a sentence on the first invalid one, or an empty list."""
         for line in file:
             if not line.endswith(b"\n"):
                 self._torn = line.decode(errors="replace")
@@ -148,7 +149,7 @@ class _Reader:
         return []
 
     def _take(self, line: bytes) -> str:
-        """Take a line, or return what is wrong with it."""
+        """Read a line; return what is wrong with it, or an empty string."""
         try:
             event, previous = parse_line(line)
         except ValueError:
@@ -165,7 +166,7 @@ class _Reader:
         return ""
 
     def _note(self, event: Event) -> None:
-        """Keep what an event says."""
+        """Add an event to the history."""
         self._state = state_after_one(self._state, event.type)
         self._progress.take(event)
         if event.type == EventType.STEP_DONE:
@@ -180,7 +181,7 @@ class _Reader:
             self._serials = {str(name): str(serial) for name, serial in event.data.get("serials", {}).items()}
 
     def history(self, path: Path, problems: list[str]) -> History:
-        """Return what was taken."""
+        """Return the history of the lines that were read."""
         return History(
             events=Events(path, self._count, self._last),
             head=self._head,
@@ -200,9 +201,9 @@ _OPENED: Final = frozenset({EventType.RUN_STARTED, EventType.RUN_RESUMED})
 
 
 def parse_line(line: bytes) -> tuple[Event, str]:
-    """Return the event of a line and the hash that it gives for the line before.
+    """Return the event in a line, and the hash that the line states for the line before.
 
-    Raises `ValueError` for what is no event, and for one that no bench writes.
+    Raises `ValueError` for a line without an event, and for one that no bench program writes.
     """
     try:
         data = read_json(line)
@@ -217,7 +218,7 @@ def parse_line(line: bytes) -> tuple[Event, str]:
 
 @dataclass(frozen=True)
 class ResumePoint:
-    """Where to go on: `step` is the next one to do, `turn` the turn to make again before it, if any.
+    """The place where a run goes on: `step` is the next step, `turn` the turn to repeat before it, if any.
 
     `bench_s` is the bench time (s since the run began) at which `step` was last begun.
     """
@@ -228,11 +229,11 @@ class ResumePoint:
 
 
 def resume_point(plan: Plan, history: History) -> ResumePoint:
-    """Find where to go on.
+    """Return where a run goes on.
 
-    Between a turn and the readings of its point the head may have been moved: the turn is made again, and
-    with it what stands between the last reading taken and the next. Readings taken are never repeated.
-    `step` is `len(plan.steps)` when nothing is left to do. Raises `RecordError` for steps that the plan lacks.
+    Between a turn and the readings of its point the head may have been moved. So the turn is repeated, with
+    the steps between the last reading and the next. Finished readings are never repeated. `step` is
+    `len(plan.steps)` when nothing is left to do. Raises `RecordError` for steps that the plan lacks.
     """
     progress = history.progress
     known = progress.done | progress.skipped | progress.left_out
@@ -252,7 +253,7 @@ def resume_point(plan: Plan, history: History) -> ResumePoint:
 
 
 def _reading_is_open(plan: Plan, step: int) -> bool:
-    """Whether `step` lies within a point of which a reading is still to come."""
+    """Return whether `step` lies within a point that still lacks a reading."""
     if step == len(plan.steps) or isinstance(plan.steps[step], Turn | ENDS_A_POINT):
         return False
     return any(isinstance(later, Read) for later in plan.steps[step : end_of_point(plan, step)])
@@ -261,7 +262,7 @@ def _reading_is_open(plan: Plan, step: int) -> bool:
 WITH_THE_NEXT: Final = frozenset(
     {EventType.STEP_STARTED, EventType.ASKED, EventType.ANSWERED, EventType.ANSWER_REFUSED}
 )
-"""Events that are not waited for until they are on the disk."""
+"""Events after which the program does not wait for the disk; they are written out with the next event."""
 
 _FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT})
 
@@ -269,9 +270,9 @@ Shield = Callable[[], AbstractContextManager[None]]
 
 
 class Record:
-    """The writer of a run's events. One program writes a run at a time.
+    """The writer of a run's events; one program at a time writes a run.
 
-    `state` is what its events have led to; an event that cannot follow is not written.
+    `state` is the state of the run after its events; an event that this state does not allow is not written.
     `shield` makes a context within which no signal interrupts the program.
     """
 
@@ -320,10 +321,10 @@ class Record:
     def reopen(
         cls, folder: Path, now: Callable[[], datetime], shield: Shield = nullcontext
     ) -> tuple[Record, History]:
-        """Open a run to go on with it; a torn last line is cut off (and stands in the history's `torn`).
+        """Open a run to go on with it; a torn last line is cut off and kept in the history's `torn`.
 
-        Everything is read while no other program can write. Raises `RecordError` when one does, or when the
-        record was changed.
+        All is read while no other program can write. Raises `RecordError` when another program writes the
+        run, or when the record was changed.
         """
         if not (folder / MANIFEST).is_file():
             raise RecordError(f"{folder}: not a run (no {MANIFEST} in it)")
@@ -339,7 +340,7 @@ class Record:
         return record, history
 
     def _go_on_after(self, history: History) -> None:
-        """Take up where a history ends, which was read while this record held the file."""
+        """Go on after the end of a history that was read while this record held the file's lock."""
         self.state = history.state
         self._last_hash, self._count, self._length = history.head, len(history.events), history.length
         if history.torn:
@@ -348,13 +349,15 @@ class Record:
 
     @property
     def count(self) -> int:
-        """How many events were written, those of earlier programs included."""
+        """The number of events written, those of earlier programs included."""
         return self._count
 
     def append(self, kind: str, bench_s: float, /, **data: Any) -> Event:
-        """Write one event; in the file, and save for those of `WITH_THE_NEXT` on the disk, when this returns.
+        """Write one event and return it.
 
-        Raises `RecordError` (disk full, …), and `ValueError` for an event that cannot follow on the state.
+        The event is then on the disk; one of `WITH_THE_NEXT` is in the file, but not yet forced to the disk.
+
+        Raises `RecordError` (disk full, …), and `ValueError` for an event that the state does not allow.
         """
         with self._shield():
             return self._append(kind, bench_s, data)
@@ -380,7 +383,7 @@ class Record:
         return event
 
     def _check_place(self) -> None:
-        """Raise `RecordError` where what is written would be lost, or would break another's chain."""
+        """Raise `RecordError` where the next line would be lost, or would break another program's chain."""
         found = os.fstat(self._file.fileno())
         if self._half_written:
             raise RecordError(f"{self.folder}: a half-written line cannot be cut off; free the disk")
@@ -393,9 +396,9 @@ class Record:
             )
 
     def whereabouts(self) -> Path | None:
-        """Return the folder that the record stands in by now, as it may have been renamed; None if not found.
+        """Return the present folder of the record, which may have been renamed; None if not found.
 
-        It is looked for by its file, where it was and among the runs beside it.
+        The folder is recognized by its file, at the old place or among the runs beside it.
         """
         own = os.fstat(self._file.fileno())
         with suppress(OSError):
@@ -406,11 +409,11 @@ class Record:
         return None
 
     def close(self) -> None:
-        """Let the file go."""
+        """Close the file and release its lock."""
         self._file.close()
 
     def _write(self, data: bytes) -> None:
-        """Write all of it: an unbuffered file may take a part only."""
+        """Write all bytes: an unbuffered file may accept only a part at once."""
         while data:
             data = data[self._file.write(data) :]
 
@@ -425,13 +428,14 @@ class Record:
 
 
 LOOKS: Final = 10_000
-"""How often a writer looks whether those who only look at the file have let it go."""
+"""How often a writer tries for the lock while other programs hold it shared."""
 
 
 def _lock(descriptor: int) -> bool:
-    """Hold the file against a second writer; say whether it is held, or no such locks are to be had (Windows).
+    """Lock the file against a second writer; return False if another writer has it.
 
-    Whoever only looks whether the run is being written holds the file, shared, for a moment, and is no writer.
+    Without file locks (Windows) return True. A program that only checks whether the run is being written
+    holds a shared lock for a moment, and is no writer.
     """
     try:
         import fcntl
@@ -450,7 +454,7 @@ def _lock(descriptor: int) -> bool:
 
 
 def _shared(descriptor: int) -> bool:
-    """Hold the file together with others that look at it; false where a writer has it."""
+    """Take a shared lock on the file; return False where a writer has it."""
     import fcntl
 
     try:
@@ -461,9 +465,9 @@ def _shared(descriptor: int) -> bool:
 
 
 def is_being_written(folder: Path) -> bool:
-    """Whether a program is carrying out this run now; the file is opened for reading only.
+    """Return whether a program is carrying out this run now; the file is opened for reading only.
 
-    Always false where the system has no file locks.
+    Always False where the system has no file locks.
     """
     try:
         with open_regular(folder / EVENTS) as file:
@@ -473,7 +477,7 @@ def is_being_written(folder: Path) -> bool:
 
 
 def _make_folder(folder: Path, files: dict[str, bytes]) -> None:
-    """Make a folder with its files, there whole or not at all. Raises `RecordError`."""
+    """Make a folder with its files, either complete or not at all. Raises `RecordError`."""
     part: Path | None = None
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What is done of a plan, what is redone after a stop, and how a person says so."""
+"""The progress of a plan, the steps redone after a stop, and the questions to the person about them."""
 
 from __future__ import annotations
 
@@ -17,16 +17,20 @@ from drivers.person import Person, Prompt, PromptKind
 
 @dataclass
 class PlanProgress:
-    """Which steps of a plan are done, left out, and how often each was begun anew on request.
+    """The progress of a plan: which steps are done or left out, and how often each was redone on request.
 
-    `temperature_c` is the last one on record, `identities` those of the instruments; `remounts` gives the
-    series that readings of a (series, installation) have since the block was taken off and mounted again in
-    the middle of it. `doubt` is an early sign that stopped the run and is not answered yet, `in_vain` the steps
-    at which one did whose point was redone for it, `gone_on` those at which one was overruled, `signs` how many
-    there were. `power` is what was told last of the block's: "on", "found on", "off", "fault", or nothing;
-    `off_since_s` since when it is off, `warm` whether it has warmed up since it was switched on. `asked` knows the
-    question that stands, `answers_heard` how many lines of the answers left in the folder were heard. `chosen` is
-    what was chosen on the way, in order, and `left_out` are the steps that are not needed by that.
+    `temperature_c` is the last one on record; `identities` are those of the instruments. `remounts` gives the
+    series of the readings of a (series, installation) after the block was mounted again in the middle of it.
+
+    `doubt` is the early sign that stopped the run and is not answered yet. `in_vain` are the steps whose
+    point was redone for an early sign, `gone_on` the steps whose sign was overruled. `signs` is the number of
+    early signs.
+
+    `power` is the last recorded state of the block's supply: "on", "found on", "off", "fault", or empty.
+    `off_since_s` is when it was switched off; `warm` says whether the block has warmed up since it was
+    switched on. `asked` knows the open question; `answers_heard` is the number of lines heard of the answers
+    in the folder. `chosen` are the choices made during the run, in order; `left_out` are the steps that they
+    make unnecessary.
     """
 
     done: set[int] = field(default_factory=set)
@@ -49,7 +53,7 @@ class PlanProgress:
     left_out: set[int] = field(default_factory=set)
 
     def copy(self) -> PlanProgress:
-        """Return a copy, to be gone on with."""
+        """Return a copy that can change independently."""
         return replace(
             self,
             done=set(self.done),
@@ -111,16 +115,16 @@ class PlanProgress:
         self.left_out -= steps_of(chosen.get("taken_up", ()))
 
     def _note_redo(self, redo: Event) -> None:
-        """Remember at which reading the point alone was redone for a sign; more than the point begins anew."""
+        """Note the reading whose point was redone for a sign; a larger redo clears the notes within it."""
         if redo.data.get("wish") != Wish.REPEAT_POINT:
             self.in_vain.difference_update(redo.steps)
         elif self.doubt is not None:
             self.in_vain.add(self.doubt.step)
 
     def _note_temperature(self, brought: Mapping[str, Any]) -> None:
-        """Keep the temperature last told or read; after a new setting it is not known.
+        """Keep the temperature last given or read; after a new set point it is unknown.
 
-        What a step brought is looked at as recorded: to make the result of each of many would take seconds.
+        The recorded data are read directly: making a result object for each of many steps would take seconds.
         """
         if (reading := brought.get("reading")) is not None:
             self.temperature_c = reading.get("temperature_c")
@@ -128,33 +132,33 @@ class PlanProgress:
             self.temperature_c = brought.get("temperature_c")
 
     def reopen(self, plan: Plan, step: int) -> None:
-        """Take up a point again at `step`: what leads to its open readings is done anew, readings are not."""
+        """Reopen a point at `step`: all its steps except the readings are done again."""
         for index in range(step, end_of_point(plan, step)):
             if not isinstance(plan.steps[index], Read):
                 self.done.discard(index)
 
     def attempt(self, step: int) -> int:
-        """Which attempt at a step this is: 1, and one more for each time that it was to be redone."""
+        """Return the number of the attempt at a step: 1, plus one for each request to redo it."""
         return 1 + self.redone[step]
 
     def settled(self, step: int) -> bool:
-        """Whether nothing is left to do about a step."""
+        """Return whether a step needs nothing more."""
         return step in self.done or step in self.skipped or step in self.left_out
 
 
 def steps_of(ranges: Iterable[Sequence[int]]) -> set[int]:
-    """Return the steps of ranges [first, last]."""
+    """Return the steps in the ranges [first, last]."""
     return {step for first, last in ranges for step in range(int(first), int(last) + 1)}
 
 
 ENDS_A_POINT: Final = Mount | SetTemperature | Level
-"""After these the head is not where the last turn left it, or the block not as it was."""
+"""After these steps the head may have left its last turn, or the block has changed."""
 
 
 def turn_before(plan: Plan, step: int, without: Collection[int] = ()) -> int:
-    """The last turn before `step` with nothing mounted since; `step` where there is none.
+    """Return the last turn before `step` with no mounting since; `step` where there is none.
 
-    Steps in `without` are none of the run.
+    Steps in `without` do not belong to the run.
     """
     for index in range(min(step, len(plan.steps)) - 1, -1, -1):
         if index in without:
@@ -167,9 +171,9 @@ def turn_before(plan: Plan, step: int, without: Collection[int] = ()) -> int:
 
 
 def is_still_to_be_read(plan: Plan, progress: PlanProgress, step: int) -> bool:
-    """Whether a reading is still to come before the block is mounted next, from `step` on.
+    """Return whether a reading is still to come from `step` on, before the block is next mounted.
 
-    One that stopped the run by an early sign may be redone.
+    A reading that stopped the run by an early sign may be redone.
     """
     if progress.doubt is not None:
         return True
@@ -180,9 +184,9 @@ def is_still_to_be_read(plan: Plan, progress: PlanProgress, step: int) -> bool:
 
 
 def latest_turn(plan: Plan, progress: PlanProgress, step: int) -> int:
-    """The turn that was begun last in time before `step`, with nothing mounted since; `step` where there is none.
+    """Return the turn last begun before `step` with no mounting since; `step` where there is none.
 
-    Where points are chosen on the way, it may stand later in the plan.
+    Where points are chosen during the run, this turn may come later in the plan.
     """
     begun = (i for i in progress.begun_s if i != step and i not in progress.left_out)
     own = [i for i in begun if isinstance(plan.steps[i], Turn | ENDS_A_POINT)]
@@ -191,7 +195,7 @@ def latest_turn(plan: Plan, progress: PlanProgress, step: int) -> int:
 
 
 def end_of_point(plan: Plan, step: int) -> int:
-    """The step after the point that `step` belongs to."""
+    """Return the step after the point to which `step` belongs."""
     for index in range(step + 1, len(plan.steps)):
         if isinstance(plan.steps[index], Turn | ENDS_A_POINT):
             return index
@@ -199,7 +203,7 @@ def end_of_point(plan: Plan, step: int) -> int:
 
 
 def first_of_pass(plan: Plan, turn: int) -> int:
-    """The first turn of the pass to which the turn at `turn` belongs."""
+    """Return the first turn of the pass to which the turn at `turn` belongs."""
     first = turn
     for index in range(turn, -1, -1):
         if isinstance(plan.steps[index], Mount | SetTemperature):
@@ -210,7 +214,7 @@ def first_of_pass(plan: Plan, turn: int) -> int:
 
 
 def last_of_pass(plan: Plan, progress: PlanProgress, turn: int) -> int:
-    """The last step of the points that were begun in the pass to which the turn at `turn` belongs."""
+    """Return the last step of the points begun in the pass to which the turn at `turn` belongs."""
     last = turn
     for index in range(turn, len(plan.steps)):
         if isinstance(plan.steps[index], Mount | SetTemperature):
@@ -221,7 +225,7 @@ def last_of_pass(plan: Plan, progress: PlanProgress, turn: int) -> int:
 
 
 def _is_of_pass(plan: Plan, turn: int, index: int) -> bool:
-    """Whether a step is a turn of the pass to which the turn at `turn` belongs."""
+    """Return whether a step is a turn of the pass to which the turn at `turn` belongs."""
 
     def place(step: Step) -> tuple[int, str, int] | None:
         return (step.series, step.installation, step.pass_number) if isinstance(step, Turn) else None
@@ -235,14 +239,14 @@ ANSWERS: Final = {
     "redo pass": Wish.REPEAT_PASS,
     "mount again": Wish.MOUNT_AGAIN,
 }
-"""What can be answered beside "go on REASON"."""
+"""Possible answers beside "go on REASON", each with its wish."""
 AGAIN: Final = "the same reading again after it was redone"
 
 
 def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
-    """Return the question that a run asks which stopped for an early sign; it has no default.
+    """Return the question of a run that stopped for an early sign; it has no default.
 
-    `again` says that the run stopped at this reading before and that it was redone since.
+    `again` says that the run stopped at this reading before, and that the reading was redone since.
     """
     why, first = "", "take the point again, take the pass again"
     answers = [*ANSWERS]
@@ -261,7 +265,7 @@ def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
 
 
 def pause_prompt(now_s: float) -> Prompt:
-    """Return the question that a run asks which is paused, `now_s` since it began."""
+    """Return the question of a paused run; `now_s` is the time since the run began, s."""
     return Prompt(
         id=f"pause@{now_s:.3f}",
         kind=PromptKind.CONFIRM,
@@ -272,9 +276,9 @@ def pause_prompt(now_s: float) -> Prompt:
 
 
 def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
-    """Ask how to go on: raise `OperatorWish` for something to be taken again, or return why it is gone on.
+    """Ask how to go on; return the reason for going on, or raise `OperatorWish` to repeat something.
 
-    `again` is as in `halt_prompt`. Raises `NoAnswer` with what the sign says where nobody answers.
+    `again` is as in `halt_prompt`. Raises `NoAnswer` with the sign's sentence where nobody answers.
     """
     prompt = halt_prompt(doubt, again=again)
     answers = ", ".join(prompt.choices)
@@ -300,7 +304,7 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
 
 
 def step_in_doubt(plan: Plan, doubt: Event) -> int:
-    """Return the step after the reading that a sign finds wrong: its own, or one before on its mounting."""
+    """Return the step after the wrong reading of a sign: its own, or an earlier one on its mounting."""
     _, _, pass_number, point = doubt.data.get("wrong") or (0, "", 0, 0)
     for index in range(doubt.step, -1, -1):
         step = plan.steps[index]
@@ -313,7 +317,7 @@ def step_in_doubt(plan: Plan, doubt: Event) -> int:
 
 @dataclass(frozen=True)
 class Redo:
-    """The steps `first` to `last` that are taken again, and what is mounted before them, if anything."""
+    """The steps `first` to `last` to be repeated, and the step that mounts the block before them, if any."""
 
     first: int
     last: int
@@ -321,9 +325,9 @@ class Redo:
 
 
 def redo_from(plan: Plan, progress: PlanProgress, wish: Wish, index: int) -> Redo | None:
-    """Return what a wish at step `index` has taken again.
+    """Return the steps that a wish at step `index` repeats.
 
-    None where no point was measured since the block was mounted.
+    Return None where no point was measured since the block was mounted.
     """
     after = index if progress.doubt is None else step_in_doubt(plan, progress.doubt)
     in_turn = not progress.chosen or progress.doubt is not None
@@ -347,7 +351,7 @@ def redo_from(plan: Plan, progress: PlanProgress, wish: Wish, index: int) -> Red
 
 
 def _mounting_before(plan: Plan, index: int) -> tuple[int, Mount] | None:
-    """Return the step that mounted the block as it is mounted at step `index`; None where none did."""
+    """Return the step of the mounting that is present at step `index`; None where there is none."""
     for i in range(index - 1, -1, -1):
         if isinstance(step := plan.steps[i], Mount):
             return i, step

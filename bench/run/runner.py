@@ -1,7 +1,7 @@
-"""Carries out a plan: one step after the other, each recorded before the next begins.
+"""Carries out a plan, one step after the other; each is recorded before the next begins.
 
-The runner knows instruments only by their interfaces and the person only as somebody who answers prompts;
-it cannot tell a simulated bench from a real one.
+The runner knows instruments only by their interfaces, and the person only as somebody who answers prompts. It
+cannot distinguish a simulated bench from a real one.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ from drivers.person import Person
 
 Observer = Callable[[Event], None]
 Watch = Callable[[Reading], Sequence[EarlySign]]
-"""Looks at each reading as it is taken; returns what seems wrong with it, to be recorded."""
+"""Judges each reading when it is taken; returns the early signs to be recorded."""
 
 WORTH_REPEATING: Final = (BadReading, InstrumentLost, InstrumentRefused)
-"""Failures that may be gone at the next try; a limit or a missing answer will not be."""
+"""Failures that may have passed at the next try; a limit or a missing answer stays."""
 
 NO_REPEAT: Final = OnFailure(repeats=0, then="stop")
 
@@ -61,11 +61,11 @@ class RunAborted(Exception):
 
 @dataclass(frozen=True)
 class People:
-    """Who is asked during a run, and whose wishes are heard.
+    """The people of a run: who is asked, and whose wishes are heard.
 
-    `decider` is asked how to go on after an early sign, where that is not `person`. `asker` is the living person
-    behind either of them, who may answer in more than one place. `patience` is the clock on which a pause passes: a
-    person's, not the bench's. After `hold_signals` no signal raises anything any more.
+    `decider` is asked how to go on after an early sign, if not `person`. `asker` is the living person behind
+    either of them, who may answer in more than one place. `patience` is the clock of a pause: a person's, not
+    the bench's. After a call of `hold_signals` no signal raises an exception any more.
     """
 
     person: Person
@@ -80,7 +80,7 @@ class People:
 class Recorder:
     """Writes the events of a run: `progress` follows them, `observers` see each once it is on the disk.
 
-    `clocks` notices civil time that jumps. `now_s` is the bench time since the run began, s.
+    `clocks` notices jumps of civil time. `now_s` gives the bench time since the run began, s.
     """
 
     record: Record
@@ -106,11 +106,12 @@ class Recorder:
 
 @dataclass
 class Runner:
-    """Carries out a plan on a bench, with the people at it, into a record.
+    """Carries out a plan on a bench with its people, into a record.
 
-    `watch` looks at each reading. `choose` says at a step what of the rest is measured, where that is chosen on the
-    way. `certificates` returns sentences on the instruments' certificates for the serial numbers by name.
-    `at_resumed_time` is called with the bench time from which a resumed run goes on, s.
+    `watch` judges each reading. `choose` decides at a step which of the remaining steps are measured, where
+    points are chosen during the run. `certificates` returns sentences on the instruments' certificates for
+    the serial numbers by name. `at_resumed_time` is called with the bench time from which a resumed run goes
+    on, s.
     """
 
     plan: Plan
@@ -143,10 +144,10 @@ class Runner:
     def run(self, resume: ResumePoint | None = None) -> None:
         """Open the instruments, carry out the plan, leave the bench safe.
 
-        A resumed run goes on where `resume` says, after the bench was brought to where the steps before left
-        it; `progress` then says what is done. Raises what went wrong first, recorded, after every instrument was
-        made safe and closed: `BenchError`, `RecordError`, `RunAborted`, `KeyboardInterrupt`. What else went wrong
-        on the way out, and what a person must still do, is in its notes.
+        A resumed run goes on at the point `resume`, once the bench is in the state that the earlier steps
+        left; `progress` then says which steps are done. The first error is recorded, and raised after every
+        instrument was made safe and closed: `BenchError`, `RecordError`, `RunAborted`, `KeyboardInterrupt`.
+        Its notes hold further errors on the way out, and the tasks left for a person.
         """
         cause: BaseException | None = None
         try:
@@ -196,14 +197,14 @@ class Runner:
                 index = self._obey(wish.control, index)
 
     def _choose(self, index: int) -> int:
-        """Record what is measured next, where that is to be chosen at a step; return the step to go on with."""
+        """Record the choice due at a step, if any; return the step to go on with."""
         if self.progress.doubt is not None or (chosen := self.choose(index, self.progress)) is None:
             return index
         self._emit(EventType.CHOSEN, **chosen)
         return min(index, chosen["next"]["first"]) if "next" in chosen else index
 
     def _ask_in_doubt(self) -> bool:
-        """Ask how to go on where an early sign stopped the run, and say whether it did; raises `OperatorWish`."""
+        """Return whether an early sign stopped the run, after asking how to go on. Raises `OperatorWish`."""
         if (doubt := self.progress.doubt) is None:
             return False
         again = doubt.step in self.progress.in_vain
@@ -215,7 +216,7 @@ class Runner:
     # --- the life of a run ---------------------------------------------------------------------------
 
     def _way_out(self, cause: BaseException | None) -> None:
-        """Leave the bench safe, then record how the run stopped and what a person must still do."""
+        """Leave the bench safe, then record how the run stopped and the tasks left for a person."""
         to_do = leave_safe(self.bench.instruments, self._workbench.demanded_c, self._workbench.power)
         try:
             self._record_stop(cause)
@@ -230,7 +231,7 @@ class Runner:
             cause.add_note("; ".join(f"{name} {what}" for name, what in to_do.items()))
 
     def _record_stop(self, cause: BaseException | None) -> None:
-        """Record what stopped the run, where it had not ended already and can be written."""
+        """Record the cause of the stop, unless the run had ended already or the record cannot be written."""
         if cause is None or isinstance(cause, RecordError | RunAborted):
             return
         event, data = how_it_stopped(cause, self.people.controls.stopped)
@@ -241,7 +242,7 @@ class Runner:
         return self.bench.clock.now_s() - self._zero_s
 
     def _restore(self, resume: ResumePoint) -> None:
-        """Bring the bench to where the steps before the one to go on with left it."""
+        """Bring the bench to the state that the steps before the resume point left."""
         before = self.plan.steps[: resume.step]
         for kind in (SetTemperature, Mount, SelectInput):
             kept = (step for i, step in enumerate(before) if i not in self.progress.left_out)
@@ -265,7 +266,7 @@ class Runner:
             self._zero_s = self.bench.clock.now_s() - resume.bench_s
 
     def _remount(self, step: Mount) -> None:
-        """Ask whether the block is still mounted as it was; if not, its further readings are another visit."""
+        """Ask whether the block is still mounted as it was; if not, its further readings are a new visit."""
         if self._workbench.still_mounted(step):
             self._workbench.temperature_c = self.progress.temperature_c
             return
@@ -280,7 +281,10 @@ class Runner:
         self._emit(EventType.REMOUNTED, **place, now_series=visit, **told)
 
     def _insist(self, prepare: Callable[[], object]) -> None:
-        """Do what comes before the steps; of wishes the end is heard, and a pause is the question put again."""
+        """Carry out a preparation before the steps.
+
+        A wish to abort is obeyed; after a wish to pause the question is put again; other wishes are refused.
+        """
         while True:
             try:
                 prepare()
@@ -302,11 +306,11 @@ class Runner:
             raise raised(control)
 
     def _answerer(self) -> WishAuthor:
-        """Who gave the last answer, where that is known."""
+        """Return the author of the last answer, where known."""
         return NOBODY_KNOWN if self.people.asker is None else self.people.asker.answered_by
 
     def _obey(self, control: RunControl, index: int) -> int:
-        """Do as the person wishes at step `index`; return the step to go on with."""
+        """Obey a wish at step `index`; return the step to go on with."""
         if control.by_person and control.who == NOBODY_KNOWN:
             control = replace(control, who=self._answerer())
         if control.wish not in HEARD[self.recorder.record.state]:
@@ -363,7 +367,7 @@ class Runner:
         return RunControl(Wish.CONTINUE, by_person=True, who=self._answerer())
 
     def _redo(self, control: RunControl, index: int) -> int:
-        """Go back to the turn of the last point, or to the first turn of its pass."""
+        """Redo the last point or its pass from the first turn; return the step to go on with."""
         found = redo_from(self.plan, self.progress, control.wish, index)
         if found is None:
             return self._refuse(control, index, "no point was measured since the block was mounted")
@@ -377,7 +381,7 @@ class Runner:
     # --- steps ---------------------------------------------------------------------------------------
 
     def _step(self, index: int) -> None:
-        """Carry out a step; a failure that may pass is met as the step says: again, go on, or stop."""
+        """Carry out a step; after a failure that may pass, repeat, go on or stop by the step's policy."""
         step = self.plan.steps[index]
         policy = step.on_failure if isinstance(step, Read | Turn) else NO_REPEAT
         for tries_left in range(policy.repeats, -1, -1):

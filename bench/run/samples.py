@@ -19,7 +19,7 @@ from drivers.clock import Clock
 from drivers.interfaces import BenchError, ThermalChamber
 
 OUTLIER_LEVEL: Final = 0.01
-"""Probability with which normal samples without an outlier are said to have one."""
+"""Probability that Grubbs' test finds an outlier in normal samples without one."""
 OUTLIER_LEAST: Final = 7
 """Of fewer samples none is called an outlier.
 
@@ -28,7 +28,7 @@ Whether a sample lies beyond it is a matter of how the others were rounded.
 """
 
 _ROUNDING: Final = 1e-13
-"""Relative size below which a scatter is the rounding of the computation."""
+"""Relative size of a scatter below which it is attributed to rounding in the computation."""
 
 
 @lru_cache(maxsize=256)
@@ -45,11 +45,12 @@ def grubbs_critical(n: int, level: float = OUTLIER_LEVEL) -> float:
 
 @dataclass(frozen=True)
 class Statistics:
-    """What the `n` samples of a channel tell, in their unit; None where a number does not exist.
+    """The statistics of the `n` samples of a channel, in their unit; None where a number does not exist.
 
-    `sd` needs 2 samples, all of the drift 3, an outlier `OUTLIER_LEAST`. `drift` is the change from the first to
-    the last sample by the fitted line, `drift_u` its standard uncertainty, `drift_p` the probability of as large
-    a drift in samples that only scatter, `outlier` the sample that Grubbs' test at 1 % calls one.
+    `sd` needs 2 samples, the drift 3, an outlier `OUTLIER_LEAST`. `drift` is the change from the first to the
+    last sample by the fitted line, `drift_u` its standard uncertainty. `drift_p` is the probability of at
+    least as large a drift in samples that only scatter. `outlier` is the sample that Grubbs' test at 1 %
+    finds.
     """
 
     n: int
@@ -61,15 +62,15 @@ class Statistics:
     outlier: Outlier | None
 
     def drift_per_s(self, interval_s: float) -> float | None:
-        """Return the drift in a second, where `interval_s` is the time from sample to sample."""
+        """Return the drift per second; `interval_s` is the time from sample to sample."""
         return None if self.drift is None else self.drift / ((self.n - 1) * interval_s)
 
 
 def describe(samples: Mapping[str, Sequence[float]], resolution: float = 0.0) -> dict[str, Statistics]:
-    """Describe the samples of each channel.
+    """Return the statistics of the samples of each channel.
 
-    A sample no further than `resolution`, the last digit of the meter, from the median is no outlier.
-    Raises `ValueError` for a channel without samples or with one that is not a finite number.
+    A sample no further than `resolution`, the last digit of the meter, from the median is no outlier. Raises
+    `ValueError` for a channel without samples or with one that is not a finite number.
     """
     return {channel: _statistics(channel, values, resolution) for channel, values in samples.items()}
 
@@ -91,7 +92,7 @@ def _statistics(channel: str, samples: Sequence[float], resolution: float) -> St
 
 
 def _drift(deviation: Floats, squares: float) -> tuple[float, float, float]:
-    """Return the change over the reading, its standard uncertainty, and the p of the t test."""
+    """Return the drift over the reading, its standard uncertainty, and the p-value of the t test."""
     n = len(deviation)
     if squares == 0.0:
         return 0.0, 0.0, 1.0
@@ -106,7 +107,7 @@ def _drift(deviation: Floats, squares: float) -> tuple[float, float, float]:
 
 @lru_cache(maxsize=64)
 def _sample_times(n: int) -> tuple[Floats, float]:
-    """Times of n samples about their middle, the whole reading being 1, and the sum of their squares."""
+    """Return the times of n samples about their middle, in units of the reading, and their sum of squares."""
     time = np.arange(n) / (n - 1) - 0.5
     return time, float(time @ time)
 
@@ -121,13 +122,13 @@ def _outlier(x: Floats, deviation: Floats, sd: float, resolution: float) -> Outl
 
 
 LEAST_SAMPLES: Final = 6
-"""Samples that a window holds before an approach is estimated from it."""
+"""Least number of samples in a window from which an approach is estimated."""
 
 SLOWING: Final = 0.9
-"""The later half of a window moves less than this part of the earlier one, or no end can be told."""
+"""Greatest ratio of the later half-window's span to the earlier one's for an end to be estimated."""
 
 _TIMING_S: Final = 1e-6
-"""Sums of intervals miss a window's length by rounding; this much of it is forgiven."""
+"""Tolerance for rounding when sums of intervals are compared with the window's length, s."""
 
 
 @dataclass(frozen=True)
@@ -164,11 +165,11 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Settling:
-    """How far the settling is, after a sample.
+    """The state of the settling after a sample.
 
     `elapsed_s` counts from the first sample. `spread` is the peak-to-peak span of each signal over the
-    window, `off_target` how far the worst sample of the window is from the target (0 without one).
-    `left_s` estimates the time until settled; None while nothing can be told of it.
+    window, `off_target` the greatest distance of a sample in the window from the target (0 without a target).
+    `left_s` is the estimated time until settled, None where no estimate is possible.
     """
 
     settled: bool
@@ -181,7 +182,7 @@ class Settling:
 
 
 class NotSettled(BenchError):
-    """The timeout passed and the quantity still moved; `state` tells by how much."""
+    """The timeout passed and the quantity still moved; `state` is the last state of the settling."""
 
     def __init__(self, instrument: str, cause: str, remedy: str, state: Settling) -> None:
         super().__init__(instrument, cause, remedy)
@@ -189,7 +190,7 @@ class NotSettled(BenchError):
 
 
 class Window:
-    """The samples of the last window; knows no clock."""
+    """The samples of the last window; the caller gives their times."""
 
     def __init__(self, criterion: Criterion) -> None:
         self.criterion = criterion
@@ -198,7 +199,7 @@ class Window:
         self._taken = 0
 
     def add(self, time_s: float, values: Sequence[float]) -> Settling:
-        """Take a sample of all signals at once; return how far the settling is.
+        """Add a sample of all signals; return the state of the settling.
 
         Raises `ValueError` when time runs backwards, or the number of signals changes or is zero.
         """
@@ -219,7 +220,7 @@ class Window:
         return self._state(time_s - self._first_s)
 
     def _forget(self, now_s: float) -> None:
-        """Keep the window and the one sample that is at least as old as it."""
+        """Drop old samples; keep those in the window and one that is at least as old as the window."""
         while len(self._samples) > 1 and self._is_old(self._samples[1][0], now_s):
             self._samples.popleft()
 
@@ -241,18 +242,19 @@ class Window:
         return 0.0 if target is None else max(abs(value - target) for signal in signals for value in signal)
 
     def _left_s(self, signals: Sequence[Sequence[float]], spread: Sequence[float]) -> float | None:
-        """Return the longest of the signals' own estimates, None when one of them cannot tell."""
+        """Return the longest of the signals' estimates; None when a signal has none."""
         times = [time_s for time_s, _ in self._samples]
         estimates = [self._signal_left_s(times, *one) for one in zip(signals, spread, strict=True)]
         known = [estimate for estimate in estimates if estimate is not None]
         return max(known) if len(known) == len(estimates) else None
 
     def _signal_left_s(self, times: Sequence[float], signal: Sequence[float], spread: float) -> float | None:
-        """Estimate one signal's time left from the window alone.
+        """Return one signal's estimated time left, s, from the window alone; None where there is no estimate.
 
-        Nothing outside precision: the window has to fill. Else an approach whose span shrinks by the same
-        factor from half to half of the window: with the time constant τ its span comes down to the precision
-        after τ ln(span/precision), but not before what is outside precision has left the window.
+        If all samples are within precision, the window only has to fill. Else the approach is exponential:
+        its span shrinks by the same factor from half to half of the window. With the time constant τ it comes
+        down to the precision after τ ln(span/precision), but not before all samples outside the precision
+        have left the window.
         """
         precision, target, now_s = self.criterion.precision, self.criterion.target, times[-1]
         off = 0.0 if target is None else abs(signal[-1] - target)
@@ -290,10 +292,10 @@ def wait_until_settled(
 ) -> Settling:
     """Sample until settled; return the last state, whose `elapsed_s` is the time it took.
 
-    `sample` returns the signals (volts, or a temperature in °C alone) and may take its time; it is called
-    every `interval_s` from the start of one call to that of the next. `on_progress` hears of every sample;
-    `place`, `names` and `unit` are for the sentence of the error. Raises `NotSettled` when a sample taken at
-    or after `timeout_s` is not settled yet, and whatever `sample` raises.
+    `sample` returns the signals (volts, or a temperature in °C alone) and may take time. It is called every
+    `interval_s` from the start of one call to the start of the next. `on_progress` is called after every
+    sample. `place`, `names` and `unit` serve the error's sentence. Raises `NotSettled` when a sample taken at
+    or after `timeout_s` is not settled yet, and the errors of `sample`.
     """
     window = Window(criterion)
     begun_s = clock.now_s()
@@ -333,15 +335,15 @@ def _not_settled(
 
 
 SLOW_AFTER_S: Final = 300.0
-"""When it is looked at where the bench file says nothing."""
+"""Time after a demand at which the chamber is checked, s, where the bench file states none."""
 LEAST_SHARE: Final = 0.2
 LEAST_WAY_K: Final = 2.0
-"""A shorter way says nothing: a sensor's noise and the air's lag are of its size."""
+"""Least demanded change that is checked, K; a smaller one is of the size of noise and the air's lag."""
 
 
 @dataclass
 class ChamberWatch:
-    """Looks `slow_after_s` after each demand where the air is; `tell` is told of less than 20 % of the way."""
+    """Checks the chamber `slow_after_s` after each demand; reports less than 20 % of the way by `tell`."""
 
     clock: Clock
     slow_after_s: float
@@ -350,7 +352,7 @@ class ChamberWatch:
     _begun_s: float = field(default=0.0, init=False)
 
     def begin(self, chamber: ThermalChamber, target_c: float, key: str) -> None:
-        """Take note of where the air is when a temperature has been demanded; a person is not asked."""
+        """Note the air's temperature when a new one is demanded; a chamber worked by hand is not watched."""
         self._way_c = None
         if chamber.asks_person:
             return
@@ -363,11 +365,11 @@ class ChamberWatch:
 
     @property
     def due(self) -> bool:
-        """Whether it is time to look."""
+        """Whether the check is due."""
         return self._way_c is not None and self.clock.now_s() - self._begun_s >= self.slow_after_s
 
     def look(self, chamber: ThermalChamber | None, key: str) -> None:
-        """Look where the air is, when it is time to."""
+        """Read the air's temperature and check it, when the check is due."""
         if chamber is None or not self.due:
             return
         try:
@@ -376,7 +378,7 @@ class ChamberWatch:
             self._way_c = None  # as above
 
     def take(self, name: str, air_c: float) -> None:
-        """Judge a temperature of the air that was read for something else, when it is time to."""
+        """Check a temperature of the air that was read for another purpose, when the check is due."""
         if self._way_c is None or not self.due:
             return
         (start_c, target_c), self._way_c = self._way_c, None

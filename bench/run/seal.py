@@ -30,15 +30,16 @@ if TYPE_CHECKING:
 SEAL: Final = "seal.json"
 FORMAT: Final = 1
 _PREFIX: Final = b"triaxial-bench seal 1\n"
-"""What is signed begins with it, so that a signature of a seal is one of nothing else."""
+"""Prefix of the signed bytes: a signature of a seal cannot serve for any other document."""
 
 
 @dataclass(frozen=True)
 class Seal:
-    """What a record was: `events` of them, `head` the SHA-256 of the last line, and the inputs by their hashes.
+    """The fingerprint of a record at the time of sealing.
 
-    `sealed` is what the computer's clock said. `signature` is one of `signed_bytes` by Ed25519 with `public_key`
-    (PEM); `time_stamp` a response (RFC 3161, DER) for `stamped_bytes`.
+    `events` is the number of events, `head` the SHA-256 of the last line, `files` are the hashes of the
+    inputs. `sealed` is the time by the computer's clock. `signature` is the Ed25519 signature of
+    `signed_bytes` with `public_key` (PEM). `time_stamp` is a response (RFC 3161, DER) for `stamped_bytes`.
     """
 
     run: str
@@ -53,7 +54,7 @@ class Seal:
 
     @property
     def signed_bytes(self) -> bytes:
-        """What a signature is of: all that the seal says of the record."""
+        """The bytes that are signed: all statements of the seal about the record."""
         told = {
             "run": self.run,
             "events": self.events,
@@ -67,11 +68,11 @@ class Seal:
 
     @property
     def stamped_bytes(self) -> bytes:
-        """What a time stamp is of: what is signed, and the signature."""
+        """The bytes that are time-stamped: the signed bytes and the signature."""
         return self.signed_bytes + b"\n" + self.signature
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as it stands in its file."""
+        """Return the seal as its file holds it."""
         return {
             "format": FORMAT,
             "run": self.run,
@@ -87,7 +88,7 @@ class Seal:
 
     @classmethod
     def from_json(cls, data: Any) -> Seal:
-        """Return the seal of a file. Raises `KeyError`, `TypeError`, `ValueError` for what is none."""
+        """Return the seal in a file. Raises `KeyError`, `TypeError`, `ValueError` where there is none."""
         texts = [data[name] for name in ("run", "head", "manifest_sha256", "sealed", "public_key")]
         files, events = data["files"], data["events"]
         if data["format"] != FORMAT or type(events) is not int or not isinstance(files, dict):
@@ -101,7 +102,7 @@ class Seal:
         return cls(run, events, head, manifest, files, sealed, key, signature, stamp)
 
     def differences(self, run: Run) -> tuple[str, ...]:
-        """Say in what a run is not what was sealed."""
+        """Return sentences on the differences between a run and its seal."""
         now = seal_of(run, self.sealed)
         wrong = []
         if now.events != self.events:
@@ -114,7 +115,7 @@ class Seal:
 
 
 def seal_of(run: Run, sealed: str) -> Seal:
-    """Return an unsigned seal of a run as it is now."""
+    """Return an unsigned seal of the present state of a run; `sealed` is the time."""
     manifest = run.manifest
     return Seal(
         run=str(manifest.get("name", "")),
@@ -127,7 +128,10 @@ def seal_of(run: Run, sealed: str) -> Seal:
 
 
 def new_seal(run: Run, now: datetime) -> Seal:
-    """Return the seal of a run that has ended. Raises `RecordError` for another, and for one that was changed."""
+    """Return the seal of a run that has ended or was imported.
+
+    Raises `RecordError` for a run that goes on, for a changed one, and for a torn last line.
+    """
     state = run.trusted_history().state
     if (before := read_seal(run.folder)) is not None and (wrong := before.differences(run)):
         raise RecordError(f"{run.folder}: {'; '.join(wrong)}; it is not sealed anew")
@@ -158,15 +162,15 @@ def write_seal(folder: Path, seal: Seal) -> Path:
 
 
 def signed(seal: Seal, public_key: str, signature: bytes) -> Seal:
-    """Return a seal with its signature; a time stamp of before would not be of it."""
+    """Return a seal with its signature, without its time stamp, which was made for the earlier bytes."""
     return replace(seal, public_key=public_key, signature=signature, time_stamp=b"")
 
 
 def new_key(file: Path, passphrase: bytes | None) -> tuple[Path, str]:
     """Make a key pair; return the file of the public key and its fingerprint.
 
-    The private key's file is for its owner alone (0600), in a folder that is (0700): one that is missing is made.
-    Raises `RecordError` where there is a file already, and for a folder that others may enter.
+    Only the owner can read the private key's file (0600) and enter its folder (0700); a missing folder is
+    made. Raises `RecordError` where the file exists already, and for a folder that others may enter.
     """
     _, ed25519 = _cryptography()
     public = file.with_name(file.name + ".pub")
@@ -176,9 +180,9 @@ def new_key(file: Path, passphrase: bytes | None) -> tuple[Path, str]:
 
 
 def write_private(file: Path, key: Any, passphrase: bytes | None, beside: dict[Path, str]) -> None:
-    """Write a private key (PKCS#8, PEM) for its owner alone, and beside it the texts that everybody may read.
+    """Write a private key (PKCS#8, PEM) that only its owner can read, and beside it the public texts.
 
-    Raises `RecordError` where there is a file already, and for a folder that others may enter.
+    Raises `RecordError` where a file exists already, and for a folder that others may enter.
     """
     serialization, _ = _cryptography()
     for one in (file, *beside):
@@ -201,9 +205,9 @@ def write_private(file: Path, key: Any, passphrase: bytes | None, beside: dict[P
 
 
 def private_key(file: Path, passphrase: Callable[[], bytes]) -> Ed25519PrivateKey:
-    """Read the private key that signs seals; `passphrase` is asked for where it has one.
+    """Return the private key that signs seals; `passphrase` is called where the key needs one.
 
-    Raises `RecordError` for a file that others may read, and for one that is no such key.
+    Raises `RecordError` for a file that others may read, and for a file without such a key.
     """
     _, ed25519 = _cryptography()
     key = read_private(file, passphrase, f"Ed25519, PEM; 'bench key {file}' makes one")
@@ -213,9 +217,9 @@ def private_key(file: Path, passphrase: Callable[[], bytes]) -> Ed25519PrivateKe
 
 
 def read_private(file: Path, passphrase: Callable[[], bytes], wanted: str) -> Any:
-    """Read a private key of any kind from a file that is its owner's alone; `wanted` says what it should be.
+    """Return a private key of any kind from a file that only its owner may read; `wanted` names the kind.
 
-    Raises `RecordError` for a file that others may read, and for one that is no key.
+    Raises `RecordError` for a file that others may read, and for a file without a key.
     """
     serialization, _ = _cryptography()
     try:
@@ -247,7 +251,7 @@ def sign(key: Ed25519PrivateKey, message: bytes) -> tuple[str, bytes]:
 
 
 def public_key(pem: str, where: str) -> Ed25519PublicKey:
-    """Return the public key of a text. Raises `RecordError` for what is none."""
+    """Return the public key in a text. Raises `RecordError` where there is none."""
     serialization, ed25519 = _cryptography()
     try:
         key = serialization.load_pem_public_key(pem.encode())
@@ -259,7 +263,7 @@ def public_key(pem: str, where: str) -> Ed25519PublicKey:
 
 
 def read_public_key(file: Path) -> Ed25519PublicKey:
-    """Return the public key in a file. Raises `RecordError`."""
+    """Return the public key in a file. Raises `RecordError` where there is none."""
     try:
         return public_key(read_regular(file).decode("ascii"), str(file))
     except OSError as error:
@@ -269,7 +273,7 @@ def read_public_key(file: Path) -> Ed25519PublicKey:
 
 
 def is_signed(key: Ed25519PublicKey, signature: bytes, message: bytes) -> bool:
-    """Whether a signature of a message was made with the private half of this key."""
+    """Return whether a signature of a message was made with the private half of this key."""
     from cryptography.exceptions import InvalidSignature
 
     try:
@@ -280,7 +284,7 @@ def is_signed(key: Ed25519PublicKey, signature: bytes, message: bytes) -> bool:
 
 
 def fingerprint(key: Ed25519PublicKey) -> str:
-    """Return the SHA-256 of a public key (its 32 bytes), by which people compare keys."""
+    """Return the SHA-256 of a public key (its 32 bytes); people compare keys by it."""
     return hashlib.sha256(key.public_bytes_raw()).hexdigest()
 
 
@@ -316,19 +320,19 @@ MOST_BYTES: Final = 1_000_000
 
 
 class NoTimeStamp(RecordError):
-    """A server gave no time stamp, or none for what was asked."""
+    """A server gave no time stamp, or one for another message."""
 
 
 @dataclass(frozen=True)
 class TimeStamp:
-    """The time in a time stamp, and whether a trusted authority stands behind it."""
+    """The time in a time stamp; `trusted` says whether a trusted authority issued it."""
 
     time: datetime
     trusted: bool
 
 
 def check_server(url: str) -> None:
-    """Refuse what is no address of a server. Raises `NoTimeStamp`."""
+    """Raise `NoTimeStamp` for a text that is no address of a server."""
     parts = urlsplit(url)
     if parts.scheme not in {"http", "https"} or not parts.hostname:
         raise NoTimeStamp(f"--timestamp {url}: not the address of a server (http://… or https://…)")
@@ -358,7 +362,7 @@ def ask_time_stamp(url: str, message: bytes) -> bytes:
 
 
 def _post(url: str, body: bytes) -> bytes:
-    """Send a request, answered with no more than a time stamp has. Raises `NoTimeStamp`."""
+    """Send a request; return at most `MOST_BYTES` of the answer. Raises `NoTimeStamp`."""
     headers = {"Content-Type": "application/timestamp-query"}
     request = urllib.request.Request(url, body, headers)  # noqa: S310 - the scheme was looked at
     try:
@@ -371,10 +375,10 @@ def _post(url: str, body: bytes) -> bytes:
 
 
 def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> TimeStamp:
-    """Return what a time stamp says of a message; `authority` holds the certificates that are trusted (PEM).
+    """Return the time stamp of a message; `authority` is the file of the trusted certificates (PEM).
 
-    Without one the time is what the stamp says, and nobody stands for it. Raises `NoTimeStamp` where the stamp is
-    not one of this message, or not by this authority.
+    Without certificates the time is only stated, and not trusted. Raises `NoTimeStamp` where the stamp
+    belongs to another message, or is not by this authority.
     """
     try:
         import rfc3161_client as rfc3161

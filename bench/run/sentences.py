@@ -14,11 +14,11 @@ from bench.readings.reading import Reading
 from bench.run.events import Answered, Event, EventType, Turned
 
 TERMINAL: Final = "terminal"
-"""Where somebody is who answers and wishes at the run's own terminal."""
+"""The place of somebody who answers and wishes at the run's own terminal."""
 
 
 def sentence(event: Event) -> str:
-    """Return an event that a person should know of as one line; of any other, its type."""
+    """Return the line for an event that a person should know of; for any other event, its type."""
     data = event.data
     match event.type:
         case EventType.EARLY_SIGN:
@@ -58,7 +58,7 @@ def sentence(event: Event) -> str:
 
 
 def said(event: Event) -> str:
-    """Return an answer on record, and who gave it where, as one line."""
+    """Return the line for a recorded answer: the answer, its author and their place."""
     by = _by(event.data) or (f" by {event.data['by']}" if event.data.get("by") else "")
     if event.type == EventType.ANSWERED:
         return f"answered{by}: {event.data['answer']}"
@@ -66,7 +66,7 @@ def said(event: Event) -> str:
 
 
 def _of_somebody(event: Event) -> str:
-    """Say what somebody answered or wished where that is not seen at the terminal; empty for anything else."""
+    """Return the line for an answer or wish that the terminal does not show; empty for any other event."""
     data, by = event.data, _by(event.data)
     match event.type:
         case EventType.WISH_REFUSED:
@@ -88,7 +88,7 @@ _DONE: Final[Mapping[str, str]] = {
 
 
 def _by(data: Mapping[str, Any]) -> str:
-    """Say who did something and where, empty where that is not known or was at this terminal."""
+    """Return the author and place of an answer or wish; empty where unknown, or at this terminal."""
     where = data.get("where", "")
     if where in ("", TERMINAL):
         return ""
@@ -97,7 +97,7 @@ def _by(data: Mapping[str, Any]) -> str:
 
 
 def _power_in_words(data: Mapping[str, Any]) -> str:
-    """Say what was done to the block's supply, or what was seen of it."""
+    """Return the words for a change or a check of the block's supply."""
     rails = ", ".join(
         f"{name} {rail['voltage_v']:.5g} V, {rail['current_a']:.3g} A"
         for name, rail in data.get("rails", {}).items()
@@ -133,7 +133,7 @@ _STOPS: Final[Mapping[str, str]] = {
 
 
 def chosen_in_words(data: Mapping[str, Any]) -> str:
-    """Say what is reached, and what is measured next and brings, or why nothing more is."""
+    """Return the words for a choice: the goal so far and the next points, or why measuring stops."""
     so_far = f"{data['settings']} settings, {data['repeats']} repeats"
     now = _goal_in_words(data.get("now"))
     if data["stop"]:
@@ -158,7 +158,7 @@ def chosen_in_words(data: Mapping[str, Any]) -> str:
 
 
 def _goal_in_words(reached: Mapping[str, Any] | None) -> str:
-    """Say how far a goal is reached: "u of Kxy 61 µV/g of 50 µV/g"."""
+    """Return the state of a goal, such as "u of Kxy 61 µV/g of 50 µV/g"; empty where there is none."""
     if reached is None:
         return ""
     words = f"{reached['goal']} {size_in_words(reached['u'], reached['unit'])}"
@@ -174,7 +174,7 @@ def size_in_words(u: float, unit: str) -> str:
 
 
 def _per_minute(now: Mapping[str, Any] | None, coming: Mapping[str, Any]) -> str | None:
-    """Say what a minute brings, where the goal is the same one before and after."""
+    """Return the gain per minute, where the goal is the same before and after; else None."""
     then, takes_s = coming["then"], float(coming["takes_s"])
     if now is None or now["goal"] != then["goal"] or takes_s <= 0 or now["u"] <= then["u"]:
         return None
@@ -185,14 +185,17 @@ LOG = "run.log"
 
 
 class RunLog:
-    """An observer of a run that appends lines to `run.log`. It is derived: a full disk stops it, not the run."""
+    """An observer of a run that appends lines to `run.log`.
+
+    The log is derived from the record: a full disk stops the log, not the run.
+    """
 
     def __init__(self, folder: Path, plan: Plan) -> None:
         self._plan = plan
         self._path = folder / LOG
 
     def __call__(self, event: Event) -> None:
-        """Append a line for an event; the beginnings of steps are left out, their ends say as much."""
+        """Append a line for an event; starts of steps are left out, because their ends say as much."""
         if event.type == EventType.STEP_STARTED:
             return
         try:
@@ -207,7 +210,7 @@ class RunLog:
 
 
 def in_words(event: Event, plan: Plan) -> str:
-    """Return an event of a run of that plan as a line."""
+    """Return the line for an event of a run; `plan` is the run's plan."""
     if event.type == EventType.STEP_STARTED:
         return f"begun: {plan.steps[event.step].describe()}"
     if event.type == EventType.ASKED:

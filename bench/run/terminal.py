@@ -32,9 +32,9 @@ SLICE_S: Final = 1.0
 class LineReader:
     """Reads lines of a stream, one for each question.
 
-    All happens in one thread, and what is typed while something else is done waits in the terminal, so no answer is
-    lost. A stream of no terminal, file or pipe of the system (nor any on Windows) cannot be waited for so: it is
-    read as it comes, and nothing is done until it is there.
+    It uses one thread. Input typed during other work waits in the terminal, so that no answer is lost.
+    Streams that are no terminal, file or pipe of the system (and all on Windows) allow no waiting with a
+    timeout: a read then blocks, and `meanwhile` is not called.
     """
 
     def __init__(self, answers: TextIO) -> None:
@@ -45,8 +45,8 @@ class LineReader:
     def read(self, meanwhile: Callable[[], None] | None = None, slice_s: float = SLICE_S) -> str:
         """Return the next line with its end; empty where the answers have ended.
 
-        Until it is there `meanwhile` is called every `slice_s`; what that raises ends the question, and the rest of
-        a line that was begun for it is no answer to the next.
+        Until the line is there, `meanwhile` is called every `slice_s`. An exception from it ends the
+        question; the rest of a line begun for that question is not used for the next.
         """
         if self._descriptor is None:
             return self._answers.readline()
@@ -80,7 +80,7 @@ def _descriptor(answers: TextIO) -> int | None:
 
 
 HELP: Final = "?"
-"""An answer that asks what can be answered."""
+"""The answer that asks for help on possible answers."""
 
 MEANINGS: Final = {
     Wish.PAUSE: "wait; nothing on the bench moves until you go on",
@@ -102,7 +102,7 @@ _ANSWERS: Final = {
 
 
 def heard_at(prompt: Prompt) -> tuple[Wish, ...]:
-    """Return the wishes that have something to act on at a prompt of a run."""
+    """Return the wishes that can have an effect at a prompt of a run."""
     if prompt.action["do"] == "ask" or (prompt.action["do"] == "mount" and prompt.choices):
         return (Wish.PAUSE, Wish.STOP, Wish.ABORT)  # no step goes on yet, or any more
     state = RunState.PAUSED if prompt.action["do"] == "wait" else RunState.RUNNING
@@ -110,7 +110,7 @@ def heard_at(prompt: Prompt) -> tuple[Wish, ...]:
 
 
 def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
-    """Return lines that say what can be typed; `wishes` may have their meanings where these are not a run's."""
+    """Return lines on what can be typed; `wishes` is a mapping to meanings where they differ from a run's."""
     meanings = wishes if isinstance(wishes, Mapping) else MEANINGS
     answer = _ANSWERS[prompt.kind] + ", ".join(prompt.choices)
     if prompt.kind is PromptKind.CONFIRM and prompt.action["do"] in ("ask", "answer"):
@@ -129,11 +129,11 @@ def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
 
 
 SLOW_TO_LEARN_S: Final = 1800.0
-"""After so much bench time the pace of the run itself counts as much as the plan's expectation."""
+"""Bench time that the plan's expectation weighs against the run's own pace, s."""
 
 
 class TimeLeft:
-    """Says from the expected time of each step, s, how much is left at one that begins."""
+    """Estimates the time left at the start of a step from the expected time of each step, s."""
 
     def __init__(self, step_s: Sequence[float]) -> None:
         self._step_s = list(step_s)
@@ -142,7 +142,7 @@ class TimeLeft:
         self._begun: tuple[int, float] | None = None
 
     def choose(self, chosen: Mapping[str, Any]) -> None:
-        """Take note of what was chosen: steps that are not needed, and the time expected of those not decided."""
+        """Apply a choice: the steps that are not needed, and the expected time of undecided steps."""
         self._out |= steps_of(chosen["left_out"])
         self._out -= steps_of(chosen.get("taken_up", ()))
         step_s = [0.0 if i in self._out else seconds for i, seconds in enumerate(self._step_s)]
@@ -154,12 +154,14 @@ class TimeLeft:
         self._left_s = _from_each_on(step_s)
 
     def begin(self, index: int, bench_s: float) -> None:
-        """Say at which step, and when, what sets the pace began."""
+        """Set the step and the bench time from which the pace is measured."""
         self._begun = (index, bench_s)
 
     def at(self, index: int, bench_s: float) -> float:
-        """Return the time left at the step `index` that begins at `bench_s`; the first asked about began the
-        run."""
+        """Return the time left at the step `index` that begins at `bench_s`.
+
+        Without `begin`, the first call sets the step from which the pace is measured.
+        """
         if self._begun is None:
             self._begun = (index, bench_s)
         first, begun_s = self._begun
@@ -169,7 +171,7 @@ class TimeLeft:
 
 
 def _from_each_on(step_s: Sequence[float]) -> list[float]:
-    """Return the time of each step with all after it, s; none at the end."""
+    """Return for each step the time of it and all later ones, s; a last 0 stands for the end."""
     return [*reversed(list(accumulate(reversed(step_s)))), 0.0]
 
 
@@ -183,8 +185,8 @@ class TerminalPerson:
     """Answers prompts from a text stream: a keyboard, or a file of answers.
 
     `pause` and `go_on` are called around each question, so that a progress bar does not write over it.
-    `wishes` are those that can be heard at its questions, where they are not those of a run; `who` is who has them.
-    It is a `drivers.interfaces.WatchingPerson`; `slice_s` is how often `meanwhile` is called.
+    `wishes` are those heard at its questions, if not a run's; `who` is their author. It is a
+    `drivers.interfaces.WatchingPerson`; `slice_s` is the interval between calls of `meanwhile`.
     """
 
     def __init__(
@@ -212,18 +214,17 @@ class TerminalPerson:
 
     @property
     def by_hand(self) -> bool:
-        """Whether somebody types, and no file answers."""
+        """Whether somebody types the answers; False for a file."""
         return self._answers.isatty()
 
     def beside(self, bar: ProgressBar) -> None:
-        """Have a progress bar taken away around each question."""
+        """Hide a progress bar during each question."""
         self._pause, self._go_on = bar.pause, bar.go_on
 
     def ask(self, prompt: Prompt) -> Answer:
         """Show the prompt and read a line.
 
-        Raises `NoAnswer` at the end of the answers, and when a wish is typed instead (":redo") `OperatorWish`, or
-        `Stopped`.
+        Raises `NoAnswer` at the end of the answers. For a wish (":redo") raises `OperatorWish` or `Stopped`.
         """
         self._pause()
         try:
@@ -244,7 +245,7 @@ class TerminalPerson:
         return Answer(prompt.id, line.strip())
 
     def _to_extra(self, prompt: Prompt, line: str) -> str:
-        """Return what is to be said to a call for help, or to what is no wish; raise `OperatorWish` for one."""
+        """Return the reply to `?` or to an unknown wish; raise `OperatorWish` or `Stopped` for a wish."""
         wishes = heard_at(prompt) if self.wishes is None else self.wishes
         if line.strip() == HELP:
             return typing_help(prompt, wishes)
@@ -277,7 +278,7 @@ class TerminalPerson:
 
 
 def _forget_typed_ahead(answers: TextIO) -> None:
-    """Drop keys that were hit before the question stood there: they cannot answer it."""
+    """Drop keys that were pressed before the question was shown: they cannot answer it."""
     if not answers.isatty():
         return
     try:
@@ -318,7 +319,7 @@ class ProgressBar:
         self._progress.stop()
 
     def pause(self) -> None:
-        """Take the bar away while a question stands, and say where the run is."""
+        """Hide the bar during a question, and print where the run is."""
         self._progress.stop()
         self._asked = True
         if self._status:
@@ -330,7 +331,7 @@ class ProgressBar:
         self._progress.start()
 
     def __call__(self, event: Event) -> None:
-        """Take note of an event of the run."""
+        """Update the bar for an event of the run."""
         if event.type == EventType.STEP_STARTED:
             index = event.step
             left = duration(self._time_left.at(index, event.bench_s))
@@ -352,7 +353,7 @@ class ProgressBar:
             self._console.print(Text(text, style="bold yellow"), soft_wrap=False)
 
     def recall(self, chosen: Sequence[Mapping[str, Any]]) -> None:
-        """Learn what was chosen before the run was taken up again."""
+        """Apply the choices made before the run was resumed."""
         for one in chosen:
             self._time_left.choose(one)
 
@@ -361,7 +362,7 @@ class ProgressBar:
             self._console.print(Text(sentence(event), style="bold"), soft_wrap=False)
 
     def settling(self, state: Settling) -> None:
-        """Show how far what is waited for has settled."""
+        """Show the progress of the settling."""
         left = "" if state.left_s is None else f", about {duration(state.left_s)} to go"
         if not state.spread:
             self._progress.update(self._task, description=f"the block warms up{left}")

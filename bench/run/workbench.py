@@ -1,4 +1,4 @@
-"""Carries out single steps on the instruments of a bench and with the person at it; levels the platform."""
+"""Carries out single steps with the instruments of a bench and its person; levels the platform."""
 
 from __future__ import annotations
 
@@ -60,15 +60,15 @@ from drivers.person import Person, Prompt, PromptKind
 MOST_ATTEMPTS: Final = 5
 MOST_PAIRS: Final = 3
 ZERO_MOVED: Final = 5.0
-"""A zero that is further than so many standard uncertainties from the one before is read again."""
+"""Largest change of the level's zero in standard uncertainties; after a larger one it is read again."""
 
 
 @dataclass
 class Levelling:
-    """One levelling with the level of a bench; `setting_u_rad` is how exactly its head is set.
+    """One levelling with the level of a bench.
 
-    `zero` is the level's own as it was found before, afterwards as it was found now; `position` is where the
-    head was left.
+    `setting_u_rad` is the standard uncertainty of the head's setting. `zero` is the level's own zero: at
+    first the one found before, afterwards the new one. `position` is the head's last position.
     """
 
     instruments: Instruments
@@ -78,10 +78,10 @@ class Levelling:
     position: HeadPosition | None = field(default=None, init=False)
 
     def carry_out(self, step: Level) -> Levelled:
-        """Level the platform where the step says so, read the level, return what is left.
+        """Level the platform where the step asks for it; read the level and return the remaining angles.
 
-        Raises `LimitExceeded` for a platform that is not level after all attempts, and what level, head and
-        person raise.
+        Raises `LimitExceeded` for a platform that is not level after all attempts, and the errors of level,
+        head and person.
         """
         level = self.instruments.level
         if level is None:
@@ -159,7 +159,7 @@ class Levelling:
         )
 
     def _pair(self, level: interfaces.Level, key: str) -> tuple[Inclination, Inclination]:
-        """Read both positions; again where the zero is another than before: then one of them was misread."""
+        """Return the readings of both positions; repeat them if the zero has changed: one may be misread."""
         for attempt in range(1, MOST_PAIRS + 1):
             first = self._read(level, f"{key}/first{attempt}", turned=False)
             second = self._read(level, f"{key}/turned{attempt}", turned=True)
@@ -176,7 +176,10 @@ class Levelling:
         )
 
     def _read(self, level: interfaces.Level, key: str, *, turned: bool) -> Inclination:
-        """Have an electronic level placed; a bubble's own questions say how it is laid."""
+        """Return the reading of the level; a person is asked to place an electronic one.
+
+        A bubble's own questions say how to place it.
+        """
         if not level.asks_person:
             how = (
                 "half a turn from its first position" if turned else "in its first position, along the shaft"
@@ -209,19 +212,19 @@ def _arcsec(angle_rad: float) -> float:
 
 
 NAP_S: Final = 1.0
-"""Waiting is cut into naps, so that a wish or Ctrl-C is heard."""
+"""Longest sleep during a wait, s, so that wishes and Ctrl-C are heard soon."""
 
 QUICK_NPLC: Final = 1.0
-"""Integration of the samples by which signals are seen to settle: the mains are suppressed, little time spent."""
+"""Integration of the samples for settling, in line periods: short, but rejects mains interference."""
 
 
 @dataclass(frozen=True)
 class BenchSetup:
-    """The instruments of a run, their clock, and what the bench file says of them.
+    """The instruments of a run, their clock, and settings from the bench file.
 
-    `range_v` is the voltmeters' fixed range, `least_samples` the fewest samples that every one of them takes,
-    `setting_u_rad` the standard uncertainty of a setting of the head, `block_limits_c` the temperatures that the
-    block may have, `feeding` how the power supply feeds it. A chamber that hardly moves is reported after
+    `range_v` is the voltmeters' fixed range, `least_samples` the fewest samples that each of them can take,
+    `setting_u_rad` the standard uncertainty of a setting of the head. `block_limits_c` are the block's
+    permitted temperatures; `feeding` describes its supply. A chamber that hardly moves is reported after
     `slow_chamber_s`.
     """
 
@@ -237,11 +240,12 @@ class BenchSetup:
 
 @dataclass
 class Workbench:
-    """Carries out steps on a bench; `now_s` is the bench time since the run began, s.
+    """Carries out steps on a bench; `now_s` gives the bench time since the run began, s.
 
-    `visits` gives the series that readings of a (series, installation) are recorded with, where the block
-    was mounted again in the middle of it. `power` is the block's supply, where it has one. `tell` records an event.
-    `temperature_c` is the temperature last read or given by a person, `demanded_c` the chamber's last set point.
+    `visits` gives the series under which readings of a (series, installation) are recorded after the block
+    was mounted again in the middle of it. `power` is the block's supply, where it has one. `tell` records an
+    event. `temperature_c` is the temperature last read or given by a person, `demanded_c` the chamber's last
+    set point.
     """
 
     bench: BenchSetup
@@ -265,7 +269,7 @@ class Workbench:
         self._chamber_watch = ChamberWatch(self.clock, self.bench.slow_chamber_s, self.tell)
 
     def execute(self, step: Step) -> Result | None:
-        """Carry out a step and return what it brought. Raises `BenchError`."""
+        """Carry out a step and return its result, if it has one. Raises `BenchError`."""
         if not isinstance(step, Power):
             self.watch_rails(step.key)
         match step:
@@ -295,7 +299,7 @@ class Workbench:
                 return brought
 
     def mount(self, step: Mount) -> Mounted:
-        """Have the block mounted, and the temperature told where a person must tell it."""
+        """Have the block mounted, and ask for its temperature where a person must give it."""
         confirm(self.person, mount_prompt(step, chamber=self.instruments.chamber is not None))
         self._position = None
         self.temperature_c = told_at_mounting(self.instruments, step.key)
@@ -304,11 +308,11 @@ class Workbench:
         return Mounted(self.temperature_c)
 
     def still_mounted(self, step: Mount) -> bool:
-        """Ask whether the block is still mounted as this step left it; if not, have it mounted."""
+        """Return whether the block is still mounted as this step left it; if not, the person mounts it."""
         return ask(self.person, untouched_prompt(step)) == UNTOUCHED
 
     def set_temperature(self, step: SetTemperature) -> TemperatureSet:
-        """Set the chamber."""
+        """Set the chamber's temperature."""
         chamber = self._chamber(f"{step.key}: the procedure sets a temperature")
         before_c, self.demanded_c = self.demanded_c, step.target_c
         try:
@@ -321,7 +325,7 @@ class Workbench:
         return TemperatureSet(step.target_c)
 
     def switch(self, step: Power) -> Powered:
-        """Switch the block; once it is on let it warm up."""
+        """Switch the block; after switching it on, let it warm up."""
         if self.power is None:
             raise BenchError(
                 "power_supply",
@@ -340,7 +344,7 @@ class Workbench:
         return Powered(step.switch, round(after_s, 3), at)
 
     def watch_rails(self, key: str) -> None:
-        """Look at the rails of the block's supply when it is time to. Raises `RailFault`."""
+        """Check the rails of the block's supply when the check is due. Raises `RailFault`."""
         if self.power is not None:
             self.power.watch(key)
 
@@ -409,7 +413,7 @@ class Workbench:
         return air_c
 
     def _quick_signals(self) -> tuple[float, ...]:
-        """Return the three signals as they are now, V: the last of the fewest samples."""
+        """Return the present signals x, y, z, V: the last of the fewest samples."""
         self._configure(VoltmeterSettings(self.bench.range_v, QUICK_NPLC, self.bench.least_samples))
         samples = self._sample(self.instruments.voltmeters)
         return tuple(samples[channel][-1] for channel in CHANNELS)
@@ -482,9 +486,8 @@ class Workbench:
     def _take_temperature(self, key: str) -> None:
         """Read the thermometer at the block, else the chamber.
 
-        A person is asked once after each mounting and each new temperature.
-
-        Raises `LimitExceeded` when the block is where it may not be: the run stops, the chamber goes safe.
+        A person is asked once after each mounting and each new temperature. Raises `LimitExceeded` when the
+        block is outside its permitted temperatures: the run stops, and the chamber is made safe.
         """
         self.temperature_c, self._chamber_c = told_at_reading(self.instruments, self.temperature_c, key)
         low_c, high_c = self.bench.block_limits_c
@@ -497,7 +500,7 @@ class Workbench:
 
     @staticmethod
     def _sample(meters: Sequence[Voltmeter]) -> dict[str, tuple[float, ...]]:
-        """Start every meter before the first is waited for, so that the signals are sampled together."""
+        """Return the samples by channel; all meters start before the first is read, to sample together."""
         for meter in meters:
             meter.start()
         samples: dict[str, tuple[float, ...]] = {}
@@ -516,5 +519,5 @@ class Workbench:
 
 
 def _degrees(angle_rad: float) -> float:
-    """Degrees to 1e-9, so that 45° is written 45 and nothing that a scale can show is lost."""
+    """Return an angle in degrees, rounded to 1e-9: 45° is written 45, and no scale shows more."""
     return round(float(np.degrees(angle_rad)), 9)

@@ -1,4 +1,4 @@
-"""What the public functions of `bench` take: an argument of another kind is refused in a sentence."""
+"""Checks of the arguments of the public functions: an argument of the wrong kind is refused in a sentence."""
 
 from __future__ import annotations
 
@@ -126,13 +126,13 @@ KINDS: Final[Mapping[str, Kind]] = {
     "write": _FLAG,
     "out": _NAME,
 }
-"""For each parameter of a public function: what is taken, in code and in words; None where that is its default."""
+"""The accepted kind of each parameter of a public function, in code and in words; None if it is the default."""
 
 
 def checked(**others: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that refuses arguments of another kind than `KINDS` says, or `others` of this function.
+    """Return a decorator that refuses arguments of another kind than `KINDS` or `others` (this function's) state.
 
-    What the file system refuses is then `Refused`, too.
+    The decorated function also raises `Refused` where the file system reports an error.
     """
 
     def decorated(function: Callable[P, R]) -> Callable[P, R]:
@@ -159,10 +159,10 @@ def checked(**others: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
 def python_call(
     request: Callable[P, Asked], act: Callable[[Asked], R], name: str = "", **others: Kind
 ) -> Callable[P, R]:
-    """Return the function of the Python face that carries out a request: its parameters are the request's fields.
+    """Return the public Python function that carries out a request: its parameters are the request's fields.
 
-    It goes by `name`, or that of `act` without the underscore, and is described by `act`. `others` are kinds of
-    arguments in place of those that `KINDS` has.
+    The function is called `name`, or else as `act` without the underscore, and has the docstring of `act`.
+    `others` are kinds of arguments that replace the kinds in `KINDS`.
     """
 
     def call(*args: P.args, **kwargs: P.kwargs) -> R:

@@ -1,4 +1,4 @@
-"""Where readings come from, and which bench file an analysis takes for them and why."""
+"""The origin of readings, and the bench file that an analysis uses for them, with the reason for it."""
 
 from __future__ import annotations
 
@@ -34,20 +34,22 @@ _Text = Annotated[str, AfterValidator(_printable)]
 
 
 class _Part(BaseModel):
-    """A part of the file beside a readings file; what it does not know it leaves alone."""
+    """A part of the origin file beside a readings file; unknown members are ignored."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 
 
 class UnitOrigin(_Part):
-    """The block: what it is, its serial number."""
+    """The block that was measured: its type and serial number."""
 
     type: _Text
     serial: _Text
 
 
 class BenchOrigin(_Part):
-    """The bench file of a run: as it was named, the run's copy of it (from the readings file, too), its SHA-256."""
+    """The bench file of a run: its name, its copy in the run's folder, and its SHA-256.
+
+    `copied_to_from_here` is the path of the copy relative to the readings file; empty on another drive."""
 
     file: _Text
     copied_to: _Text
@@ -56,11 +58,12 @@ class BenchOrigin(_Part):
 
 
 class Origin(_Part):
-    """Where readings come from. `unit_under_test` is None where nobody stated it, `procedure` is empty as well.
+    """The origin of readings: their run, block, bench file and instruments.
 
-    `serials` are the serial numbers that the instruments stated, kept by real runs and where the bench has
-    certificates. `mended` are the mistakes that are put right in these readings, which are a copy of what was
-    recorded then.
+    `unit_under_test` is None and `procedure` is empty where nobody stated it. `serials` are the serial
+    numbers that the instruments reported; real runs keep them, and so does any run on a bench with
+    certificates. `mended` are the mistakes that were corrected in these readings, which are then a copy of
+    the recorded readings.
     """
 
     simulated: bool
@@ -77,7 +80,7 @@ class Origin(_Part):
     mended: tuple[_Text, ...] = ()
 
     def text_beside(self, readings: Path, content: bytes) -> str:
-        """Return the text of the file that stands beside a readings file of this content."""
+        """Return the text of the origin file that belongs beside a readings file with this `content`."""
         empty = {name for name in ("serials", "mended") if not getattr(self, name)}
         own = self.model_dump(mode="json", exclude={"sha256", *empty})
         try:
@@ -89,9 +92,10 @@ class Origin(_Part):
         return to_text(about)
 
     def bench_file(self, readings: Path) -> Path | None:
-        """Return the bench file that is meant, for a readings file; None where it is not here as it was.
+        """Return the path of the run's bench file for a readings file; None where no unchanged copy is found.
 
-        Looked for in the run's folder, also where both were moved together, and where the run had it from.
+        It is searched for in the run's folder, also relative to the readings file in case both were moved,
+        and at the path from which the run took it.
         """
         places = [self.bench.copied_to, self.bench.copied_to_from_here, self.bench.file]
         for path in (readings.parent / place for place in places if place):
@@ -101,7 +105,7 @@ class Origin(_Part):
 
 
 def instrument_name(identity: str, serial: str, resource: str | None, bench: str) -> str:
-    """Return what an instrument is called: by its serial number, else by what answered where on which bench."""
+    """Return the name of an instrument: its model and serial number, else its identity, address and bench."""
     serial = serial.strip()
     if serial in NO_SERIAL:
         place = f" at {resource}" if resource else ""
@@ -111,14 +115,16 @@ def instrument_name(identity: str, serial: str, resource: str | None, bench: str
 
 @dataclass(frozen=True)
 class OriginBeside:
-    """What stands beside a readings file: `origin` where it is believed, `notes` what a reader should know."""
+    """The content of the origin file beside a readings file, and notes for the reader.
+
+    `origin` is None where there is no origin file or it is not trusted."""
 
     origin: Origin | None = None
     notes: tuple[str, ...] = ()
 
 
 def origin_of_run(run: Run) -> OriginBeside:
-    """Return where the readings of a run come from; of an imported one what its readings file tells."""
+    """Return the origin of a run's readings; for an imported run, the one stated beside its file."""
     if run.imported:
         told = origin_beside(run.folder / IMPORTED)
         if told.origin is not None or told.notes:
@@ -148,7 +154,7 @@ def origin_of_run(run: Run) -> OriginBeside:
 
 
 def origin_beside(readings: Path) -> OriginBeside:
-    """Return what the file beside a readings file tells of it; nothing where there is none, or another one."""
+    """Return the origin stated beside a readings file; none where that file is missing or of other readings."""
     file = readings.with_name(readings.name + SUFFIX)
     content = _read(file)
     if content is None or not readings.is_file():
@@ -170,7 +176,7 @@ def origin_beside(readings: Path) -> OriginBeside:
 
 
 def is_told(file: Path) -> bool:
-    """Whether a file is one that tells where readings come from, of whatever readings file."""
+    """Return whether a file is an origin file, for any readings file."""
     try:
         _About.model_validate_json(_read(file) or b"")
     except ValidationError:
@@ -185,7 +191,7 @@ _UNREADABLE: Final = (
 
 
 class _About(Origin):
-    """The whole file: the origin of the readings, and of which readings file."""
+    """The whole origin file: the origin of the readings, and the SHA-256 of the readings file."""
 
     sha256: _Text
 
@@ -199,7 +205,7 @@ def _mismatch(readings: str, file: str, about: Origin) -> str:
 
 
 def _read(path: Path) -> bytes | None:
-    """Return the content of a regular file of a usual size; None for all else."""
+    """Return the content of a regular file of at most 1 MB; None for any other path."""
     try:
         return read_regular(path, MEGABYTE)
     except OSError:
@@ -217,7 +223,9 @@ _NONE_NAMED: Final = "the shipped one, as none was named"
 
 @dataclass(frozen=True)
 class BenchTaken:
-    """A bench file, where it is, its SHA-256, and why that one; `chosen` is why a run had it."""
+    """The bench file that an analysis uses: its content, path and SHA-256, and the reason for the choice.
+
+    `why` is the reason why the analysis uses it, `chosen` the reason why the run was begun with it."""
 
     file: BenchFile
     where: str
@@ -227,12 +235,12 @@ class BenchTaken:
 
     @property
     def stated(self) -> bool:
-        """Whether anybody said that these readings are of this bench: else it stands in for theirs."""
+        """Whether anybody named this bench for these readings; if not, it is the shipped bench file."""
         return self.why != _NONE_NAMED
 
     @property
     def learned_path(self) -> Path | None:
-        """Where the learned file is that it names: beside it, or the run's copy of it; None where it names none."""
+        """Path of the learned file that the bench file names, or of the run's copy; None without one."""
         if self.file.learned is None:
             return None
         own = Path(self.where)
@@ -240,43 +248,43 @@ class BenchTaken:
         return copy if own.name == BENCH and copy.is_file() else own.parent / self.file.learned
 
     def learned(self) -> LearnedFile | None:
-        """Return what was learned of the bench, None where its file names none. Raises `FileMistakes`."""
+        """Return the learned file of the bench; None where the bench file names none. Raises `FileMistakes`."""
         path = self.learned_path
         return None if path is None else load_learned(path, self.file)
 
     @property
     def words(self) -> str:
-        """Which one it is, and why that one."""
+        """The name of the bench file, and the reason for the choice."""
         return f"{self.file.name}, {self.why}"
 
     @property
     def reason(self) -> str:
-        """Why that one, with why the run had it."""
+        """The reason for this bench file, followed by the reason why the run was begun with it."""
         return ": ".join(filter(None, (self.why, self.chosen)))
 
     def part(self) -> BenchPart:
-        """Return what a result says of it."""
+        """Return name, path, reason and SHA-256 of the bench file as a part of a result."""
         return BenchPart(name=self.file.name, file=self.where, why=self.reason, sha256=self.sha256)
 
     def to_dict(self) -> dict[str, str]:
-        """Return what a result says of it."""
+        """Return name, path, reason and SHA-256 of the bench file as a dictionary."""
         return {"name": self.file.name, "file": self.where, "why": self.reason, "sha256": self.sha256}
 
 
 def bench_path(given: str | None) -> Path:
-    """Return the bench file asked for (in BENCH_FILE, if not said), or the shipped one that stands in for it."""
+    """Return the path of the bench file `given`, else of the one in BENCH_FILE, else of the shipped one."""
     return find_bench(given or os.environ.get("BENCH_FILE") or DEFAULT_BENCH)
 
 
 def why_taken(given: str | None) -> str:
-    """Say why `bench_path` takes the bench file that it takes."""
+    """Return the reason for the choice that `bench_path` makes."""
     if given:
         return "as asked for"
     return "named by BENCH_FILE" if os.environ.get("BENCH_FILE") else _NONE_NAMED
 
 
 def find_bench_file(given: str | Path | BenchFile | BenchTaken | None) -> BenchTaken:
-    """Return the bench file at hand or asked for, else that of BENCH_FILE, else the shipped one."""
+    """Return the bench file `given` (content, path or name), else that of BENCH_FILE, else the shipped one."""
     if isinstance(given, Path):
         given = str(given)
     if isinstance(given, BenchTaken):
@@ -288,7 +296,7 @@ def find_bench_file(given: str | Path | BenchFile | BenchTaken | None) -> BenchT
 
 
 def bench_for_record(file: BenchFile, path: Path) -> dict[str, bytes]:
-    """Return what a run keeps of a bench file: it, and what it names as learned. Raises `FileMistakes`."""
+    """Return the files that a run keeps, by name: bench file and learned file. Raises `FileMistakes`."""
     taken = BenchTaken(file, str(path), "", "")
     kept = {BENCH: read_regular(path)}
     if taken.learned() is not None and taken.learned_path is not None:
@@ -304,10 +312,10 @@ def recorded_sha256(run: Run) -> str:
 def bench_of(
     name: str, run: Run | None, told: OriginBeside, given: str | BenchFile | None
 ) -> tuple[BenchTaken, tuple[str, ...]]:
-    """Return the bench file for readings, with notes: the one asked for, else that which the run recorded.
+    """Return the bench file for readings, with notes: the file asked for, else the one that the run recorded.
 
-    Readings that are no run have the one asked for, of BENCH_FILE, of which the file beside them tells (`told`), or
-    the shipped one, in this order.
+    For readings without a run it is the first of these: the file asked for, the file in BENCH_FILE, the file
+    named beside the readings (`told`), the shipped file.
     """
     if run is not None:
         return _of_run(run, given)
@@ -341,6 +349,6 @@ def _of_run(run: Run, given: str | BenchFile | None) -> tuple[BenchTaken, tuple[
 
 
 def own_bench(run: Run) -> tuple[BenchFile, Path]:
-    """Return the bench file that a run recorded, and where it was: a reference is named from there."""
+    """Return the bench file that a run recorded, and its original path, to which a reference is relative."""
     stated = Path(str(run.manifest.get("bench", "")))
     return load_recorded_bench(run.folder / BENCH), stated if stated.is_file() else run.folder / BENCH

@@ -32,10 +32,11 @@ TOGETHER: Final = "diagnose-together"
 
 @dataclass(frozen=True)
 class Body:
-    """Readings that are diagnosed as one: the `sources`, and all of them as one `source`.
+    """Readings that are diagnosed together: the `sources`, and all of them joined as one `source`.
 
-    `nominal` (blocks, 3) are the scale factors of the data sheets where blocks of several kinds are in it. Free
-    positions alone stay a table for each source: `one_block` says whether they are of one sensor.
+    `nominal` (blocks, 3) are the scale factors of the data sheets, for blocks of several kinds. A body of
+    free positions alone keeps one table for each source; `one_block` says whether one sensor measured them
+    all.
     """
 
     sources: tuple[Source, ...]
@@ -45,11 +46,11 @@ class Body:
 
     @property
     def sha256(self) -> tuple[str, ...]:
-        """The hashes of what it is made of."""
+        """The SHA-256 hashes of the readings in the body."""
         return tuple(data_sha256(source.as_read) for source in self.sources)
 
     def output(self, suffix: str, number: int | None = None) -> Path:
-        """Return the file that is written for it; of several sources for the one of this number."""
+        """Return the path of an output file for the body, or for the source with this number."""
         if len(self.sources) == 1:
             return self.source.output("diagnose", suffix)
         place = place_together(self.sources) if number is None else self.sources[number]
@@ -63,17 +64,17 @@ def whole_body(request: Diagnose) -> Body:
 
 
 def single_bodies(request: Diagnose) -> list[Body | Failed]:
-    """Read the sources, each by itself; what is wrong with one alone is raised."""
+    """Read each source as a body of its own; raises its error if there is only one source."""
     with knowing_effects_in(request.effects):
         loaded = load_each(reading(request, *request.sources))
         return [one if isinstance(one, Failed) else body_of([one], request.one_block) for one in loaded]
 
 
 def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
-    """Return the sources as one body of data: of `one_block`, or of a block each.
+    """Return the sources as one body of data, measured on one block (`one_block`) or on a block each.
 
-    Where nobody says (None), the names of the blocks tell, and where those do not, the readings will. Raises
-    `Refused` where they are not of one bench.
+    If `one_block` is None, the names of the blocks decide; where they do not, the diagnosis decides by the
+    readings. Raises `Refused` where the sources are not of one bench.
     """
     first = sources[0]
     if len(sources) == 1 or all_free([source.readings for source in sources]):
@@ -102,7 +103,7 @@ def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
 
 
 def place_together(sources: Sequence[Source]) -> Source:
-    """Return the first of several sources, by a name under which what is written of all of them stands."""
+    """Return the first of several sources, renamed so that output files of all of them carry a joint name."""
     first = sources[0]
     if len(sources) == 1:
         return first
@@ -112,7 +113,7 @@ def place_together(sources: Sequence[Source]) -> Source:
 
 
 def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
-    """Return the number of the block of each source; None for all where only the readings can tell."""
+    """Return the number of the block of each source; None for all where only the readings can decide."""
     if one_block is not None:
         return [0 if one_block else number for number in range(len(sources))]
     sheets = [tuple(source.bench.unit_under_test.scale_factors.values) for source in sources]
@@ -157,25 +158,25 @@ SAT_IN: Final = re.compile(r"the block sits in installation (\S+), not in (\S+)"
 OF_ONE_READING: Final = frozenset({Kind.NOT_TURNED, Kind.NEXT_POINT, Kind.WRONG_WAY, Kind.SLIP})
 NAMES: Final = {Kind.ROTATION: MistakeName.REVERSED_ROTATION, Kind.ORIENTATION: MistakeName.OTHER_MOUNTING}
 LEAST_NAMED: Final = 2
-"""So many readings of a mounting name the installation in which the block sat, before all are moved there."""
+"""Least number of readings that name another installation before their whole mounting is moved to it."""
 
 
 MOST_TOLD: Final = 3
-"""Causes that are told at the end of a run."""
+"""Largest number of causes that are listed at the end of a run."""
 
 
 @dataclass(frozen=True)
 class _Named:
-    """A row of the table with the sign that it raised."""
+    """A row of the table of readings, with the sign of the early warning that it raised."""
 
     row: int
     sign: EarlySign
 
 
 def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
-    """Return the readings of a source with what the early warning named put right, and the mistakes.
+    """Return the readings of a source without the mistakes that the early warning named, and these mistakes.
 
-    They come back as they are where nothing was told while they were taken.
+    The readings are returned unchanged where the early warning raised no sign during the run.
     """
     run, readings = source.run, source.readings
     if run is None or run.imported or not run.history.progress.signs:
@@ -194,7 +195,7 @@ def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
 
 
 def told_in_words(run: Run) -> list[str]:
-    """Return what the early warning told while a run was taken, and what a person went on with, in sentences."""
+    """Return the causes that the early warning named in a run, and those that a person overruled, in words."""
     if not run.history.progress.signs:
         return []
     named: Counter[str] = Counter()
@@ -214,7 +215,7 @@ def told_in_words(run: Run) -> list[str]:
 
 
 def _signs(source: Source) -> list[_Named]:
-    """Go through the readings that stand again; return those that a mistake explains far beyond chance."""
+    """Repeat the early warning on the readings kept; return the rows that a mistake certainly explains."""
     assert source.run is not None  # noqa: S101
     history = source.run.history
     watcher = watcher_of(source.run.plan, source.bench)
@@ -235,7 +236,7 @@ _MAY_BE_EFFECTS: Final = frozenset({Kind.MOVED, Kind.TILTED, Kind.CHANNEL, Kind.
 
 
 class _Copy:
-    """A table of readings in which mistakes are put right."""
+    """A copy of a table of readings in which mistakes are corrected."""
 
     def __init__(self, readings: Readings) -> None:
         self._given = readings
@@ -250,7 +251,7 @@ class _Copy:
         return int(self._given.series[row]), str(self._given.installation[row])
 
     def readings(self) -> Readings:
-        """Return the table put right."""
+        """Return the corrected table of readings."""
         changed = replace(
             self._given,
             signal=self._signal,
@@ -262,7 +263,7 @@ class _Copy:
         return changed.select(self._kept)
 
     def mend(self, mount: tuple[int, str], told: Sequence[_Named]) -> list[Mistake]:
-        """Put right what was told of the readings of a mounting; return the mistakes."""
+        """Correct the mistakes that the early warning named in a mounting; return these mistakes."""
         sat = Counter(match[1] for one in told if (match := _sat_in(one.sign)) is not None)
         if sat and sat.most_common(1)[0][1] >= LEAST_NAMED:
             return [self._move(mount, sat.most_common(1)[0][0], told)]
@@ -275,7 +276,9 @@ class _Copy:
         return [*mistakes, *(self._leave_out(mount, one) for one in left)]
 
     def _move(self, mount: tuple[int, str], actual: str, told: Sequence[_Named]) -> Mistake:
-        """Move the rows of a mounting to where the block sat: into the mounting before, if it is the same."""
+        """Move the rows of a mounting to the installation `actual`; return the mistake.
+
+        The rows join the mounting before where that has the same installation."""
         rows = self._rows(mount)
         first = int(np.flatnonzero(rows)[0])
         before = self.mount(first - 1) if first else (0, "")
@@ -290,7 +293,7 @@ class _Copy:
         return _mistake(MistakeName.SWAPPED_INSTALLATIONS, (), mount[1], None, None, words, p)
 
     def _rewire(self, mount: tuple[int, str], cause: str, told: Sequence[_Named]) -> Mistake:
-        """Put the signals back between the first and the last reading that shows the cables."""
+        """Undo wrong cables between the first and the last reading that shows them; return the mistake."""
         rows = self._rows(mount)
         rows[: told[0].row] = False
         rows[told[-1].row + 1 :] = False

@@ -1,4 +1,4 @@
-"""From readings to coefficients and what is made of them: with a prior, verified, on a page."""
+"""Calibrations from readings: with a prior, with verification, and as a report page."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ SEVERAL_TEMPERATURES: Final = 3
 
 
 def read_prior(path: Path) -> Prior:
-    """Read a prior file. Raises `FileMistakes`, or `Refused` where it is per another g."""
+    """Read a prior file. Raises `FileMistakes`, or `Refused` where its scale factors are per another g."""
     file: PriorFile = load_prior(path)
     if file.per_g_m_s2 != STANDARD_GRAVITY:
         raise Refused(f"{path}: per_g_m_s2 is {file.per_g_m_s2:g}, expected {STANDARD_GRAVITY}")
@@ -78,7 +78,7 @@ def read_prior(path: Path) -> Prior:
 def with_prior(
     found: Calibration, source: Source, path: Path
 ) -> tuple[Calibration, PriorPart, tuple[str, ...]]:
-    """Return a calibration joined with a prior of its unit's type, what became of the prior, and notes.
+    """Return a calibration joined with a prior of its unit's type, the outcome for the prior, and notes.
 
     Where readings and prior disagree the calibration stays as it was, and a note says so. Raises `Refused` for a
     prior of another type, signal or kind of instruments, or one that has the unit itself behind it.
@@ -153,8 +153,8 @@ def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) 
 class Coefficient:
     """One of the twelve, in `unit` (such as V/g, of a bias V), with its combined standard uncertainty `u`.
 
-    `u_readings` is the part that the readings and the stand as it is stated show; `dof` are the effective degrees
-    of freedom of u, for which u is widened, so that `U` is `k` times u.
+    `u_readings` is the part of u from the readings and the stated limits of the stand. `dof` are the
+    effective degrees of freedom of u. u is already widened for them, so that `U` is `k` times u.
     """
 
     value: float
@@ -172,10 +172,10 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class CalibrationResult:
-    """The twelve coefficients of U = K a + U0 with their covariance, and what they were made from.
+    """The twelve coefficients of U = K a + U0 with their covariance, and the data behind them.
 
     a is the specific force in g of the place (+1 g on an upward axis). `calibration` holds all that was found,
-    `source` the readings, the bench and the model, `prior` what units of its type told, where that was asked for.
+    `source` the readings, the bench and the model. `prior` is the prior of the unit's type, if one was used.
     """
 
     source: Source
@@ -200,7 +200,7 @@ class CalibrationResult:
         return self.calibration.covariance
 
     def as_coefficients(self) -> Coefficients:
-        """Return the coefficients as those of another day are read from a file."""
+        """Return the coefficients in the form in which `read_coefficients` returns those of a file."""
         own = self.calibration
         return Coefficients(
             own.block, own.covariance, own.noise.reading, own.g_m_s2, own.unit, self.source.simulated,
@@ -210,7 +210,7 @@ class CalibrationResult:
 
     @property
     def bench(self) -> str:
-        """Which bench file gave the errors of the stand and, where nobody said it, gravity; and why that one."""
+        """The bench file behind the errors of the stand and (unless stated) gravity, with the reason for it."""
         return self.source.taken.words
 
     @property
@@ -220,12 +220,12 @@ class CalibrationResult:
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
-        """Where the block found is not the block announced."""
+        """Sentences on how the block found contradicts the block announced."""
         return implausible(self.calibration, self.source.bench.unit_under_test.scale_factors.values)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader of the result should know, a sentence each; rows that were left out, too."""
+        """Notes for the reader of the result, a sentence each, with the rows that were left out."""
         readings = self.source.readings
         return (*self._said, *readings.notes, *readings.skipped)
 
@@ -277,11 +277,11 @@ class CalibrationResult:
         return write_form(self.derived, Path(path), form, nominal)
 
     def print_on(self, out: Console) -> None:
-        """Print the coefficients, the noise, the fit, and what a reader should know."""
+        """Print the coefficients, the noise, the fit, and the notes."""
         print_calibration(self.source.name, self.calibration, self.notes, out)
 
     def __repr__(self) -> str:
-        """Return the coefficients as a table, with what a reader should know."""
+        """Return the coefficients as a table, with the notes."""
 
         def print_on(out: Console) -> None:
             out.print(headline(self.source.name, self.calibration))
@@ -310,7 +310,7 @@ def calibration_of(
 ) -> CalibrationResult:
     """Calibrate a source with its own bench and model, and with a `prior` file of its unit's type.
 
-    Raises `CalibrationError` where it cannot be, `Refused` for a prior that is not of this unit's type.
+    Raises `CalibrationError` where the readings allow no calibration, `Refused` for a prior of another type.
     """
     source = _with_note_on_temperatures(source)
     sheet = sheet_of(source.readings.unit, source.bench.unit_under_test.scale_factors.values)
@@ -346,7 +346,7 @@ def calibrated(request: Calibrate, source: Source) -> CalibrationResult:
 
 
 def _with_note_on_temperatures(source: Source) -> Source:
-    """Note where the readings are at several temperatures, of which one calibration makes a mixture."""
+    """Add a note where the readings are at several temperatures: one calibration then mixes them."""
     found = separate_temperatures(source.readings)
     if len(found) < SEVERAL_TEMPERATURES:
         return source
@@ -368,7 +368,7 @@ def verification_of(
 ) -> VerificationResult:
     """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings.
 
-    By the rule `agreed` where neither the source nor who asks states one.
+    The decision rule is `agreed` where neither the source nor the caller states one.
     """
     judgement = own_judgement(source, asked, agreed=agreed)
     if coefficients is None:
@@ -417,7 +417,7 @@ def report_page(
 
 
 def _closed_form(source: Source) -> Calibration | None:
-    """The paper's estimator beside ours, where the readings are such that it applies."""
+    """Return the calibration by the paper's closed-form estimator; None where that does not apply."""
     try:
         return calibration_of(source, CLOSED_FORM).calibration
     except CalibrationError:

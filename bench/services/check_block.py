@@ -37,16 +37,16 @@ from bench.stats.control_charts import BASES, DEFAULT_ARL, Basis, ChartDesign, l
 from drivers.clock import utc_now
 
 FORMAT: Final = 1
-"""Rises where what is kept changes, or how a calibration finds it."""
+"""Version of the cached values; it rises when their form or the calibration behind them changes."""
 
 
 @dataclass(frozen=True)
 class CheckValues:
     """A calibration of the check block as its chart needs it: coefficients in `unit` per local g.
 
-    `readings` (12, 12) is the covariance of readings and stand, `noise` (12,) the part that reading noise makes;
-    `sources` (12, 12) by name are the errors that no reading shows, `meters_limits` (12, 12) those of the meters
-    that cancel where the same ones read again.
+    `readings` (12, 12) is the covariance from readings and stand, `noise` (12,) the part from reading noise.
+    `sources` are the covariances (12, 12) of the errors that no reading shows, by name. `meters_limits` (12,
+    12) is the covariance of the meter errors that cancel where the same meters read again.
     """
 
     name: str
@@ -66,7 +66,7 @@ class CheckValues:
     s_dof: float
 
     def per(self, g_m_s2: float) -> CheckValues:
-        """Return it with scale factors per another local gravity: the same per m/s²."""
+        """Return the values with scale factors per another local gravity; per m/s² they stay the same."""
         factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / self.g_m_s2, 1.0)
         both = np.outer(factor, factor)
         return replace(
@@ -80,7 +80,9 @@ class CheckValues:
         )
 
     def check_run(self, between_runs: Sequence[str]) -> CheckRun:
-        """Return it for a chart; what comes anew with each run are readings and stand, and the sources named."""
+        """Return the values as a run of a control chart.
+
+        Errors of readings and stand, and the sources in `between_runs`, are independent from run to run."""
         nothing = np.zeros_like(self.readings)
         own = [one for name, one in self.sources.items() if name.partition("[")[0] in between_runs]
         everything = sum(self.sources.values(), nothing)
@@ -179,7 +181,8 @@ def is_check_block(bench: BenchFile, unit: UnitUnderTest) -> bool:
 def check_block_runs(bench: BenchFile, runs: Path, *, simulated: bool) -> list[Run]:
     """Return the finished runs of the check block of a bench, oldest first.
 
-    Simulated and real ones are never on one chart; of a bench are those whose bench file has its name.
+    Simulated and real runs are never on one chart. A run is of this bench if its bench file has the same
+    name.
     """
     found = []
     for run in all_runs(runs):
@@ -204,8 +207,8 @@ def chart_of(
 ) -> CheckBlockChart:
     """Return the chart of runs of one check block.
 
-    `of_bench` is where the bench file is, from which a reference is looked for; `folder` where runs are that it
-    names. Raises `Refused` where there are none, or they are not of one kind.
+    `of_bench` is the path of the bench file, to which the path of a reference is relative. `folder` holds the
+    runs that the section names. Raises `Refused` where there are no runs, or they are not of one kind.
     """
     values, notes = _values(runs)
     if not values:
@@ -258,7 +261,7 @@ def _arl(section: CheckBlockSection) -> float:
 
 
 def _basis(wanted: Basis, baseline: int, reference: Reference | None) -> tuple[Basis, tuple[str, ...]]:
-    """Return what limits can be from, with a note where that is not what was asked for."""
+    """Return the basis that the chart limits can have, with a note where it is not the basis asked for."""
     if reference is not None:
         return "stated", ()
     order: tuple[Basis, ...] = ("scatter", "scaled", "stated")
@@ -355,7 +358,7 @@ def _restarted(section: CheckBlockSection) -> datetime | None:
 
 
 def _with_options(section: CheckBlockSection, request: Chart) -> CheckBlockSection:
-    """Return a section with what is asked for in place of what the bench file says. Raises `Refused`."""
+    """Return a section in which the options of a request replace the bench file's. Raises `Refused`."""
     smoothing, arl, limits = request.smoothing, request.arl, request.limits
     if smoothing is not None and not LEAST_SMOOTHING <= smoothing <= 1.0:
         raise Refused(f"--smoothing {smoothing:g}: λ of an EWMA lies between {LEAST_SMOOTHING:g} and 1")
@@ -379,8 +382,8 @@ def charted(request: Chart) -> CheckBlockChart:
     """Return the control chart of a check block, as `bench chart` finds it.
 
     `runs` are runs of the check block by name or path, or the folder in which they are (BENCH_RUNS, or ./runs).
-    `bench` states the check block; without it the bench file counts that the latest of its runs recorded. `real`
-    says which runs of a folder are meant. Raises `Refused` where there are none.
+    `bench` states the check block; without it, the bench file recorded by the latest of its runs does. `real`
+    chooses the real or the simulated runs of a folder. Raises `Refused` where there are none.
     """
     folder = runs_folder(request.folder)
     named = [request.runs] if isinstance(request.runs, str | Path) else request.runs or [folder]
@@ -455,7 +458,7 @@ IN_CONTROL: Final = "in control"
 class CheckBefore:
     """The last check of a bench: `state` (in control, out of control, too old, missing), in a sentence.
 
-    `run` is the run of the check block, empty where there is none, `age_s` how old it is.
+    `run` is the name of the run of the check block, empty where there is none; `age_s` is its age in s.
     """
 
     state: str
@@ -469,7 +472,7 @@ class CheckBefore:
         return self.state == IN_CONTROL
 
     def recorded(self, rule: str, reason: str | None) -> CheckedBefore:
-        """Return what a manifest says of it; `reason` is why it was set aside, where it was."""
+        """Return the check as a member of a manifest; `reason` is why a person set it aside, if one did."""
         told: CheckedBefore = {"rule": rule, "state": self.state, "said": self.sentence}
         if self.run:
             told["run"] = self.run
@@ -480,7 +483,7 @@ class CheckBefore:
 
 
 def check_before(bench: BenchFile, path: Path, runs: Path, now: datetime, *, simulated: bool) -> CheckBefore:
-    """Return what the last run of the check block says, now. Raises `Refused` where its chart cannot be made."""
+    """Return the check by the check block's last run, as of `now`. Raises `Refused` without a chart."""
     section = bench.check_block
     if section is None:
         raise Refused(f"{path}: states no check_block; add it, or leave the check out")
@@ -527,10 +530,10 @@ def _judged(
 def checked_before(
     manifest: Manifest, bench: BenchFile, path: Path, runs: Path, despite: str | None
 ) -> tuple[str, ...]:
-    """Hold a run that is to begin to the check block of its bench: into its manifest, and in words.
+    """Add the last check of the bench to the manifest of a run that is to begin; return it in sentences.
 
-    `despite` is why it is begun whatever the check says. Raises `Refused` where the bench file says so. A run of
-    the check block itself is not held to it.
+    `despite` is the reason to begin the run whatever the check says. Raises `Refused` where the rule of the
+    bench file forbids the run. A run of the check block itself is not checked.
     """
     if bench.check_block is None:
         raise Refused(
@@ -548,7 +551,7 @@ def checked_before(
 
 
 def refuse_or_tell(found: CheckBefore, rule: str, reason: str | None) -> tuple[str, ...]:
-    """Return what is to be told of a check. Raises `Refused` where the rule says so and no reason sets it aside."""
+    """Return the sentences on a check. Raises `Refused` where the rule forbids the run and `reason` is None."""
     if found.fine:
         return (f"check block: {found.sentence}",)
     if reason is not None:

@@ -1,4 +1,4 @@
-"""Coefficients of another day, read back; and the forms in which others read them."""
+"""Coefficients of an earlier calibration, read from a file; and their forms for other programs."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from bench.readings.table import UNITS
 from bench.services.errors import Refused
 
 DEFAULT_K: Final = 2.0
-"""Coverage factor where a result states none."""
+"""Coverage factor of a result that states none."""
 
 LARGEST: Final = 1e12
 WORST: Final = 1e9
 """Coefficients as large as that, or so far apart, are of no block: a calibration refuses them by itself."""
 
 ROUNDING: Final = 1_000_000 * 2.0**-53
-"""By how much a correlation of a million readings may be off by rounding."""
+"""Largest rounding error of a correlation that is computed from a million readings."""
 
 
 @dataclass(frozen=True)
 class Coefficients:
-    """A block with its covariance (12, 12), the noise of a reading, the gravity that is its unit (m/s²).
+    """The coefficients of a block: covariance (12, 12), noise of a reading, and the g that is their unit (m/s²).
 
-    `simulated` tells that they were found on simulated instruments. `same_meters` (12, 12) is the covariance
-    without what cancels where the same meters read the block, `meters` are their identities; results of older
-    days have neither. `block_terms` (12, q) is what K2 and K3 of the block, one u large, add, `wander` (3,) how far
-    its biases may wander during a run.
+    `simulated` says whether they were found on simulated instruments. `same_meters` (12, 12) is the
+    covariance without the errors that cancel where the same meters read the block; `meters` are their
+    identities. Results of earlier versions have neither. `block_terms` (12, q) are the errors by K2 and K3 of
+    the block, each one u large. `wander` (3,) is how far its biases may wander during a run.
     """
 
     block: Block
@@ -60,7 +60,7 @@ class Coefficients:
 def read_coefficients(path: Path, unit: str) -> Coefficients:
     """Read a result of `calibrate --json`.
 
-    Raises `Refused` when the file is not one, holds what is no number, or has another unit than the
+    Raises `Refused` when the file is no such result, holds an invalid number, or has another unit than the
     readings.
     """
     try:
@@ -78,7 +78,7 @@ def read_coefficients(path: Path, unit: str) -> Coefficients:
 def coefficients_of(data: Any, where: str) -> Coefficients:
     """Take the coefficients out of a result of `calibrate --json`, whatever their unit.
 
-    Raises `Refused` that names `where` when it is not one, holds what is no number, or a covariance that none is.
+    Raises `Refused`, naming `where`, when it is no such result or holds an invalid number or covariance.
     """
     try:
         values = np.array([_number(data["coefficients"][name]["value"]) for name in COEFFICIENTS])
@@ -117,9 +117,9 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
 
 
 def block_result(data: Any, where: str) -> BlockResult:
-    """Take all that is to be written out of a result of `calibrate --json`, of this version or one before.
+    """Return the data of a result of `calibrate --json`, of this or an earlier version, for writing other forms.
 
-    Raises `Refused` that names `where` when it is not one.
+    Raises `Refused`, naming `where`, when it is no such result.
     """
     taken = coefficients_of(data, where)
     if taken.unit not in UNITS.values():
@@ -175,7 +175,7 @@ def _positive(value: object) -> float:
 
 
 def _refuse_without_inverse(block: Block, covariance: Floats, where: str) -> None:
-    """Refuse a K that has no inverse, or one of numbers that no calibration gives. Raises `Refused`."""
+    """Raise `Refused` for a K that has no inverse, or has values that no calibration gives."""
     largest = float(np.max(np.abs(block.vector)))
     if not largest < LARGEST or np.max(covariance) > LARGEST**2:
         raise Refused(f"{where}: holds numbers beyond {LARGEST:g}; take the file as calibrate wrote it")
@@ -187,9 +187,9 @@ def _refuse_without_inverse(block: Block, covariance: Floats, where: str) -> Non
 
 
 def _further_covariance(data: Any, name: str, where: str) -> Floats | None:
-    """Take a further covariance (12, 12) out of a result that `coefficients_of` has read; None where it has none.
+    """Return a further covariance (12, 12) of a result that `coefficients_of` has read; None where it is missing.
 
-    Raises `Refused` that names `where` when it holds what is no covariance.
+    Raises `Refused`, naming `where`, when the value is no covariance.
     """
     if data.get(name) is None:
         return None
@@ -202,7 +202,7 @@ def _further_covariance(data: Any, name: str, where: str) -> Floats | None:
 
 
 def _block_terms(data: Any, where: str) -> Floats | None:
-    """Return what K2 and K3 add (12, q); None where the result has no such part. Raises `Refused`."""
+    """Return the errors (12, q) by K2 and K3 of the block; None where the result has none. Raises `Refused`."""
     if data.get("block_terms") is None:
         return None
     try:
@@ -241,7 +241,7 @@ def _refuse_impossible(covariance: Floats, where: str) -> None:
 
 
 def _numbers(rows: Any) -> list[list[float]]:
-    """Return rows of JSON numbers; where all are floats they are looked at in one go. Raises `ValueError`."""
+    """Return rows of JSON numbers; rows of floats alone are checked all at once. Raises `ValueError`."""
     if all(type(row) is list and set(map(type, row)) == {float} for row in rows):
         sums = [sum(row) for row in rows]  # of what is not finite no sum is
         if all(map(math.isfinite, sums)):
@@ -250,7 +250,7 @@ def _numbers(rows: Any) -> list[list[float]]:
 
 
 def _number(value: Any) -> float:
-    """Return a JSON number. Raises `ValueError` for what is none: a text, true, one beyond all floats."""
+    """Return a JSON number. Raises `ValueError` for a text, for true, and for a number beyond all floats."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{shortened(repr(value))} is no number")
     try:
@@ -288,7 +288,7 @@ def impossible(covariance: Floats) -> str:
 
 
 def snapshots_in(path: Path) -> list[Snapshot]:
-    """Return the calibrations in a result of `calibrate --json`. Raises `Refused` where it is none."""
+    """Return the calibrations in a result of `calibrate --json`. Raises `Refused` for another file."""
     try:
         data = from_text(read_given(path).decode())
     except OSError as error:
@@ -338,7 +338,7 @@ ALL: Final = "all"
 
 
 def forms_of(names: list[str]) -> list[ExportForm]:
-    """Return the forms asked for, each once, in their order; "all" is every one. Raises `Refused`."""
+    """Return the forms asked for, each once, in their order; "all" stands for all forms. Raises `Refused`."""
     strange = [name for name in names if name not in FORMS and name != ALL]
     if strange:
         known = ", ".join([*FORMS, ALL])
@@ -349,7 +349,8 @@ def forms_of(names: list[str]) -> list[ExportForm]:
 def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
     """Return the scale factors (3,) that `--nominal` states, unit/g. Raises `Refused` where they are none.
 
-    They are none of a result whose signals are accelerations, or have other signs.
+    It also raises `Refused` for results whose signals are accelerations, or whose scale factors differ in
+    sign.
     """
     if text is None:
         return None

@@ -1,4 +1,4 @@
-"""Coefficients over temperature, a tumble, and calibrations that a navigation computer takes."""
+"""Coefficients over temperature, a multi-point tumble, and calibrations in forms for navigation computers."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ from bench.services.source import Request, Source, load_sources
 from bench.services.verification import own_judgement
 
 OVER_TEMPERATURE: Final = ("temperature", "thermometer")
-"""Errors that a model over temperature does not have as one of a single temperature has them."""
+"""Errors of a calibration at a single temperature that a model over temperature does not contain."""
 
 
 @dataclass(frozen=True)
 class SignedModel:
-    """A temperature model with the combined covariance, and without what cancels for the same meters.
+    """A temperature model with the combined covariance, and with that without errors that the same meters cancel.
 
-    `sources` are the errors that no reading shows; they stand in the terms at the reference temperature, for they
-    are the same at each.
+    `sources` are the errors that no reading shows. They are equal at all temperatures, so only the terms at
+    the reference temperature contain them.
     """
 
     combined: TemperatureModel
@@ -56,9 +56,9 @@ class SignedModel:
 
 
 def sign_model(model: TemperatureModel, source: Source) -> SignedModel:
-    """Return a model with the errors of the bench that its readings do not show, as `source` has them.
+    """Return a model with the errors of the bench that its readings do not show, computed from `source`.
 
-    The block at one temperature stands for all: they act on the readings there as anywhere.
+    One source suffices, because these errors act on the readings equally at all temperatures.
     """
     assumed = {name: size.u for name, size in assumed_stand(source.bench).items()}
     found = calibrate(
@@ -99,7 +99,7 @@ class Compensation:
         return all(check.passed for _, check in self.checks) and all(t.accepted(strict=strict) for t in tests)
 
     def files(self) -> Iterator[tuple[str, Path, str]]:
-        """Yield what is written: what it is, the file, and its text."""
+        """Yield the files to write: a description, the path and the text of each."""
         unit = self.source.bench.unit_under_test
         of = f"{unit.type} {unit.serial}".strip() + f", from {self.source.name}"
         of += " (simulated instruments)" if self.source.simulated else ""
@@ -150,7 +150,7 @@ def _degree(text: str) -> int | None:
 
 
 def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Verification]]:
-    """Judge the verification points of a source, each at its own temperature; those within the range only."""
+    """Yield the verification of a source at each temperature within the range of the model, in °C."""
     rows = source.readings.verification()
     known = np.isfinite(rows.temperature_c) & ~model.outside(rows.temperature_c)
     by = own_judgement(source)
@@ -169,7 +169,7 @@ def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Ve
 
 
 def tumble_of(source: Source, terms: Sequence[str] = DEFAULT) -> TumbleView:
-    """Return each axis of a source in the terms asked for. Raises `CalibrationError` where that cannot be."""
+    """Return each axis of a source in the terms asked for. Raises `CalibrationError` where that fails."""
     assumed = {name: size.u for name, size in assumed_stand(source.bench).items()}
     view = tumble_view(source.readings, source.model, source.stand_u, source.g_m_s2, terms, assumed_u=assumed)
     return combine(view, source.bench, source.model, terms, source.traced.day)
@@ -188,21 +188,23 @@ def tumbled(source: Source, terms: Sequence[str]) -> tuple[TumbleView, TumbleRes
 
 @dataclass(frozen=True)
 class CalibrationToWrite:
-    """A calibration to be written: `result`, and where its files go; `source` is None for a JSON file's."""
+    """A calibration to be written in other forms, and the place of its files.
+
+    `source` is None for a `result` from a JSON file."""
 
     result: BlockResult
     stem: Path
     source: Source | None
 
     def file(self, suffix: str) -> Path:
-        """Return the file whose name ends so."""
+        """Return the path of the output file with this suffix."""
         if self.source is None:
             return self.stem.with_name(self.stem.name + suffix)
         return self.source.output("coefficients", suffix, what_if=self.source.what_if)
 
 
 def results_of(request: Request) -> list[CalibrationToWrite]:
-    """Calibrate what is to be calibrated and read what is a result already. Raises `Refused`."""
+    """Return the calibrations of all sources: readings are calibrated, results read. Raises `Refused`."""
     names = [name for name in request.sources if isinstance(name, str) and _is_result(Path(name))]
     asked = (request.bench, request.model, request.g_m_s2)
     if names and (any(value is not None for value in asked) or request.skip_bad_rows):

@@ -1,4 +1,4 @@
-"""Runs that are finished: their results made and kept in their folder; readings exported and imported."""
+"""Finished runs: making their results and keeping them in the run's folder; export and import of readings."""
 
 from __future__ import annotations
 
@@ -29,16 +29,17 @@ from bench.services.verification import NOTHING_ASKED, VerificationResult
 from drivers.clock import utc_now
 
 _MADE: Final = ("calibrate.json", "verify.json", "report.html", "chart.json")
-"""What may be made of a finished run."""
+"""Names of the result files that may be made from a finished run."""
 
 
 @dataclass(frozen=True)
 class Conclusion:
     """The results of a finished run; each is None where there is none.
 
-    `looks` are remarks of the early warning, `short` says that a run ended without its goal. `no_calibration` and
-    `no_chart` say why there is none, empty for a run that is not of the check block. `chart_unwritten` is why its
-    file could not be written.
+    `looks` are remarks of the early warning; `short` says whether the run ended without reaching its goal.
+    `no_calibration` and `no_chart` are the reasons for a missing calibration or chart; `no_chart` is empty
+    for a run that is not of the check block. `chart_unwritten` is the reason why the chart's file was not
+    written.
     """
 
     run: Run
@@ -55,7 +56,7 @@ class Conclusion:
 
     @property
     def accepted(self) -> bool:
-        """Whether the run reached its goal, and fit, verdict and chart are accepted, as far as there are any."""
+        """Whether the run reached its goal, and its fit, verdict and chart, if there are any, are accepted."""
         judged = (
             self.calibration and self.calibration.accepted,
             self.verification and self.verification.passed,
@@ -65,7 +66,7 @@ class Conclusion:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what `bench run --json` writes: null for a calibration or verdict that there is not."""
+        """Return the result as `bench run --json` writes it, with null for a missing calibration or verdict."""
         return {
             "run": self.run.name,
             "folder": str(self.run.folder),
@@ -75,7 +76,7 @@ class Conclusion:
 
 
 def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
-    """Conclude a run whose bench is safe; `resume` does so again after a signal. Raises `Refused` for one."""
+    """Conclude a run whose bench is safe. Raises `Refused` on a signal; `bench resume` then makes the results."""
     kept = f"all readings are kept in {run.folder}"
     again = f"stopped before the results were made; {kept}, and 'bench resume {run.name}' makes the results"
     try:
@@ -88,7 +89,7 @@ def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
 def conclude(run: Run) -> Conclusion:
     """Calibrate, verify, report and chart a finished run, and write the results into its folder.
 
-    A procedure need not be a calibration: where its readings do not make one, the conclusion says so. Raises
+    Not every procedure is a calibration: the conclusion says why its readings give none. Raises
     `Refused` where a result cannot be written.
     """
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
@@ -120,7 +121,7 @@ def _evaluated(source: Source) -> dict[str, Any]:
 
 
 def charted(run: Run) -> dict[str, Any]:
-    """Put a run of the check block on its chart; of any other run there is nothing to say."""
+    """Return the chart of a run of the check block as members of a `Conclusion`; none for any other run."""
     bench, path = own_bench(run)
     unit = run.manifest.get("unit_under_test")
     if bench.check_block is None or unit is None or not is_check_block(bench, unit):

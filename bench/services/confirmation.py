@@ -1,4 +1,4 @@
-"""New readings held against a model file that was found in others: is the effect confirmed, changed or gone."""
+"""Test of a model file on new readings: whether its effects are confirmed, changed or gone."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from bench.services.source import Source, data_sha256
 
 @dataclass(frozen=True)
 class ConfirmationResult:
-    """New readings without and with a model: one number, and what became of its effects.
+    """The result of `bench confirm`: how far a model closes the gap in new readings, and the state of its effects.
 
-    `found` holds all that was found, `known` the mistakes that were put right before.
+    `found` is the full confirmation, `known` are the mistakes that were corrected before.
     """
 
     source: Source
@@ -52,7 +52,7 @@ class ConfirmationResult:
 
     @property
     def mistakes(self) -> tuple[Mistake, ...]:
-        """What was put right in a copy of the readings before they were held against the model."""
+        """The mistakes that were corrected in a copy of the readings before the model was tested."""
         diagnosis = self.found.diagnosis
         return (
             self.known
@@ -62,7 +62,7 @@ class ConfirmationResult:
 
     @property
     def notes(self) -> Iterator[str]:
-        """Yield what else there is to know of these readings."""
+        """Yield the notes on these readings, a sentence each."""
         yield from (f"{one.name}: {one.words}; put right in a copy" for one in self.mistakes)
         diagnosis = self.found.diagnosis
         if isinstance(diagnosis, FreeDiagnosis):
@@ -83,7 +83,7 @@ class ConfirmationResult:
         ).to_dict()
 
     def print_on(self, out: Console) -> None:
-        """Print the effects as they were and are, and the number."""
+        """Print the effects as in the model and in the new readings, and how far the gap closes."""
         print_confirmation(self.source.name, self.found, list(self.notes), out)
 
     def __repr__(self) -> str:
@@ -92,9 +92,9 @@ class ConfirmationResult:
 
 
 def confirmation_of(source: Source) -> ConfirmationResult:
-    """Hold a source against its model; thresholds are kept in the user's cache folder.
+    """Test the model of a source on its readings; thresholds are kept in the user's cache folder.
 
-    Raises `Refused` where it has no model, one without effects, or one that was found in these very readings;
+    Raises `Refused` where the model is missing, has no effects, or was found in these very readings;
     `CalibrationError` where the readings do not determine the coefficients or could not show the effects.
     """
     path = source.request.model

@@ -1,4 +1,4 @@
-"""Diagnoses of bodies of readings, side by side where there are several, and the files that follow from them."""
+"""Diagnoses of bodies of readings, several of them in parallel, and the files written from them."""
 
 from __future__ import annotations
 
@@ -57,7 +57,9 @@ Found = FullDiagnosis | MistakesAlone | FreeDiagnosis
 
 @dataclass(frozen=True)
 class _Result(ABC):
-    """What was `found` in a body of readings. `files` were written of it; `not_written` says which could not be."""
+    """The result of a diagnosis of a body of readings: what was `found`, and the files.
+
+    `files` are the files written for it; `not_written` says which files could not be written, and why."""
 
     body: Body
     found: Found
@@ -76,7 +78,7 @@ class _Result(ABC):
 
     @property
     def bench(self) -> str:
-        """Which bench file gave the errors of the stand and gravity; and why that one."""
+        """The bench file that gave the errors of the stand and gravity, and the reason for it."""
         return self.source.taken.words
 
     @property
@@ -96,15 +98,16 @@ class _Result(ABC):
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
         """Write all that `bench diagnose` writes; return the result that names the files.
 
-        What cannot be written is noted in `not_written`; where a folder was asked for it raises `OSError`.
+        A file that cannot be written is noted in `not_written`; it raises `OSError` if a folder was asked
+        for.
         """
 
     def __repr__(self) -> str:
-        """Return what `bench diagnose` prints, and which bench file was taken."""
+        """Return the output of `bench diagnose`, with the bench file that was used."""
         return f"{as_text(self.print_on)}\nbench: {self.bench}"
 
     def _tried(self, what: str, write: Callable[[], T]) -> tuple[T | None, Self]:
-        """Return what writing returns, and the result, with a note where it could not be written."""
+        """Return the value of `write`, and the result, with a note where the file could not be written."""
         try:
             return write(), self
         except OSError as error:
@@ -114,7 +117,7 @@ class _Result(ABC):
             return None, replace(self, not_written=(*self.not_written, note))
 
     def _with_copy(self, mistakes: Sequence[Mistake], corrected: Readings) -> Self:
-        """Write the copy with mistakes put right, where there is any."""
+        """Write the copy in which mistakes are corrected, if there are any."""
         if not mistakes:
             return self
         place = self.body.output("-corrected.csv")
@@ -125,7 +128,7 @@ class _Result(ABC):
 
 
 class _WithPage(_Result):
-    """A diagnosis of which there is a page."""
+    """A diagnosis that has a page."""
 
     @abstractmethod
     def html(self) -> str:
@@ -145,7 +148,7 @@ class _WithPage(_Result):
 
 @dataclass(frozen=True, repr=False)
 class MistakesResult(_Result):
-    """A diagnosis that ended with mistakes: they leave too little to determine the coefficients."""
+    """A diagnosis that ended with mistakes: the other readings do not determine the coefficients."""
 
     found: MistakesAlone
 
@@ -161,7 +164,7 @@ class MistakesResult(_Result):
         text.print_mistakes(self.found, self.files, out)
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
-        """Write the copy with the mistakes put right, of which there is neither model nor page."""
+        """Write the copy in which the mistakes are corrected; there is neither model nor page."""
         return self._with_copy(self.found.mistakes, self.found.corrected)
 
 
@@ -214,7 +217,7 @@ class DiagnosisResult(_WithPage):
             text.print_one(self.found, self.files, out)
 
     def model_is_due(self, *, accept_first: bool = False) -> bool:
-        """Whether what was found makes a model file: it is named, or accepted though the data cannot tell."""
+        """Whether the findings give a model file: effects are named, or the first of a tie is accepted."""
         verdict, form = self.diagnosis.of_copy, self.diagnosis.form
         # what makes the gap no smaller is no better model, whoever accepts it
         accepted = accept_first and verdict == "confounded" and self.diagnosis.gap.shrinks is not False
@@ -408,7 +411,7 @@ def _write(path: Path, content: str) -> Path:
 
 
 def _by_unused_name(path: Path, write: Callable[[Path], None]) -> Path:
-    """Write a file by a name that no file has: the path, or with a number from 2 on."""
+    """Write a file under an unused name: `path`, or `path` with a number from 2 on."""
     path.parent.mkdir(parents=True, exist_ok=True)
     for number in count(1):
         free_path = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
@@ -420,9 +423,9 @@ def _by_unused_name(path: Path, write: Callable[[Path], None]) -> Path:
 
 
 def _write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
-    """Write the copy with mistakes put right, and beside it where it comes from.
+    """Write the copy in which mistakes are corrected, and its origin file beside it.
 
-    It reads, with the same bench file, to the very readings that were searched.
+    Reading the copy with the same bench file gives exactly the readings that were searched.
     """
     source = body.source
     content = format_csv(as_read(corrected, source.traced.by))
@@ -441,7 +444,8 @@ def _write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, pa
 def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagnosed | Failed]:
     """Diagnose bodies of readings, several side by side in processes of their own; write what is asked for.
 
-    Of several, what cannot be evaluated is a `Failed`; one alone raises `CalibrationError` or `Refused`.
+    Of several bodies, one that cannot be evaluated gives a `Failed`; a single body raises `CalibrationError`
+    or `Refused`.
     """
     if len(bodies) == 1:
         return [diagnosed_alone(request, body) for body in done(bodies)]
@@ -451,7 +455,7 @@ def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagno
 
 
 def diagnosed_alone(request: Diagnose, body: Body, *, report: bool = True) -> Diagnosed:
-    """Diagnose one body; write what is asked for, the page where nobody says whether (None) as `report` says.
+    """Diagnose one body and write the files asked for; `report` decides on the page where the request does not.
 
     Raises `CalibrationError` where the readings do not determine the coefficients.
     """
@@ -466,8 +470,8 @@ def diagnosed_alone(request: Diagnose, body: Body, *, report: bool = True) -> Di
 def diagnosis_of(body: Body) -> Diagnosed:
     """Diagnose a body of readings with its own bench and model; thresholds are kept in the user's cache folder.
 
-    What the early warning named while a run was measured is put right first. Raises `CalibrationError` where the
-    readings do not determine the coefficients.
+    Mistakes that the early warning named during a run are corrected first. Raises `CalibrationError` where
+    the readings do not determine the coefficients.
     """
     with knowing_effects_of(*body.sources):
         return _result(body, _found(body))
@@ -509,7 +513,7 @@ def _result(
 
 
 _Done = tuple[Found, Files, tuple[str, ...]]
-"""What goes from one process to another: what was found, the files, what could not be written."""
+"""The data passed between processes: the findings, the files, and the files that could not be written."""
 
 
 def _rebuilt(body: Body, one: _Done | Failed) -> Diagnosed | Failed:

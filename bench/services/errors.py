@@ -1,4 +1,4 @@
-"""What is asked for and cannot be done, errors in words for a person, and options that are quantities."""
+"""Refused requests, errors in words for a person, and options that are quantities."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _OPTION: Final = re.compile(r"--([a-z][a-z-]*)( (?=[0-9.-]))?")
 
 
 class Refused(Exception):
-    """What was asked for cannot be done; the text says why and what to do.
+    """Raised for a request that cannot be carried out; the text says why, and what to do.
 
-    `typed` is the text for a person at the command line, where what is g=9.81 in Python is --g 9.81.
+    `typed` is the text for the command line, with options such as --g 9.81 where Python has g=9.81.
     """
 
     def __init__(self, typed: str) -> None:
@@ -50,7 +50,7 @@ def expected(error: BaseException) -> bool:
 
 
 def kind_and_words(error: BaseException) -> str:
-    """Return what an error that nobody foresaw is called, and what it says, in one line."""
+    """Return the name and the text of an unforeseen error, in one line."""
     return ": ".join(filter(None, (type(error).__name__, " ".join(str(error).split()))))
 
 
@@ -84,7 +84,7 @@ def quantity(option: str, text: str, kind: QuantityKind, *, plain: bool = True) 
 
 
 def named(option: str, text: str, example: str) -> tuple[str, str]:
-    """Return name and value of an option "NAME=VALUE". Raises `Refused` with an example for another."""
+    """Return name and value of an option "NAME=VALUE". Raises `Refused` with an example for any other text."""
     name, equals, value = text.partition("=")
     if not equals or not name.strip() or not value.strip():
         raise Refused(f"{option} {text}: a name and its value, such as {example}")

@@ -1,4 +1,4 @@
-"""Runs: begun, carried out on the bench or dry, watched, resumed, given up."""
+"""Carrying out runs on the bench or dry: begin, watch, resume and give up."""
 
 from __future__ import annotations
 
@@ -73,14 +73,14 @@ from drivers.person import Prompt, PromptKind
 from drivers.wire.replay import WireLog, logged_wire
 
 MOST_RECALLED: Final = 500
-"""So many of the last readings of a resumed run teach the early warning what to expect; more teach it little."""
+"""Number of the last readings of a resumed run from which the early warning learns; more add little."""
 
 
 @dataclass(frozen=True)
 class NewRun:
     """A run that may begin: its folder, what its manifest says, and the files that it is begun with.
 
-    `notes` is what whoever begins it should know.
+    `notes` are sentences for the person who begins the run.
     """
 
     folder: Path
@@ -98,7 +98,7 @@ class NewRun:
 def new_run(request: RunRequest) -> NewRun:
     """Check a procedure against a bench and return the run that it makes.
 
-    Raises `FileMistakes` and `Refused` with all that speaks against it.
+    Raises `FileMistakes` and `Refused` with all mistakes found.
     """
     dry_run, unit, operator = request.dry_run, request.unit, request.operator
     if re.search("[\ud800-\udfff]", operator):
@@ -162,7 +162,7 @@ def new_run(request: RunRequest) -> NewRun:
 
 
 def _judged(request: RunRequest, bench: Path) -> VerdictAsked | None:
-    """Return how the run is judged in place of the bench file's, None where nobody says. Raises `Refused`."""
+    """Return the limit and rule that replace the bench file's; None without any. Raises `Refused`."""
     asked = VerdictOptions(request.limit, request.rule, request.guard_band)
     if asked == NOTHING_ASKED:
         return None
@@ -171,7 +171,7 @@ def _judged(request: RunRequest, bench: Path) -> VerdictAsked | None:
 
 
 def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:
-    """Say that a run is of another unit than its bench file names."""
+    """Return a note where a run is of another unit than its bench file names."""
     if serial == stated:
         return ()
     return (f"this run is of unit {serial}, as --unit says; the bench file {bench} names unit {stated}",)
@@ -208,9 +208,9 @@ class AnswerChannels:
 def heard_in(
     run: Run, record: Record, history: History | None, wishes: WishListener, out: Console, *, away: bool
 ) -> AnswerChannels:
-    """Return who is heard in a run, new or (with its `history`) resumed; nobody is at a terminal if `away`.
+    """Return the channels by which people reach a run, new or (with its `history`) resumed.
 
-    Whoever resumes a dry run that stopped is there to be asked how to go on.
+    With `away`, no questions are asked at the terminal. A resumed dry run asks the person who resumes it.
     """
     if not run.asks_somebody and history is None:
         return AnswerChannels(wishes)
@@ -228,7 +228,7 @@ def heard_in(
 
 
 def is_away(answers: str | None, *, panel: bool) -> bool:
-    """Whether questions are answered in the run's folder alone: asked for, or a `panel` and no terminal.
+    """Return whether questions are answered in the run's folder alone: on request, or by a `panel` alone.
 
     Raises `Refused` for an unknown place.
     """
@@ -296,7 +296,7 @@ def resumed(
 
 
 def accept_changes(run: Run, asker: Asker | None, out: Console) -> None:
-    """Say what was changed since the run began; on a real bench the person must agree to go on without it."""
+    """Print the changes since the run began; on a real bench a person must agree to go on in spite of them."""
     changes = []
     for kind, copy in (("procedure", PROCEDURE), ("bench", BENCH)):
         original = Path(str(run.manifest.get(kind)))
@@ -319,9 +319,9 @@ def carry_out(
     interrupts: Interrupts | None = None,
     heard: AnswerChannels | None = None,
 ) -> None:
-    """Run to the end; say what is kept when it stops before. `history` is that of a run to be resumed.
+    """Carry out a run to its end; if it stops before, say which readings are kept. A resumed run has a `history`.
 
-    `interrupts` hears the signals meanwhile, `heard` is who is asked and what is wished.
+    `interrupts` handles signals meanwhile, `heard` are the channels by which people reach the run.
     """
     signals = interrupts or Interrupts()
     write_whole(run.folder / RESULTS, to_text({"made": None}))
@@ -380,9 +380,10 @@ def carry_out(
 def _on_certificates(
     bench: BenchFile, *, simulated: bool
 ) -> Callable[[Mapping[str, str]], Sequence[str]] | None:
-    """Return what says of serial numbers what is to be told of the certificates; None where nobody asks for them.
+    """Return the function from serial numbers to remarks on certificates; None if serial numbers are not needed.
 
-    Those of simulated instruments are nobody's; by those of a real run an instrument is known again elsewhere.
+    They are not needed for simulated instruments without certificates. For any simulated run, the serial
+    numbers are not compared with the certificates.
     """
     if simulated and all(section.certificate is None for section in bench.instruments.all()):
         return None
@@ -483,9 +484,9 @@ def _kept(record: Record) -> str:
 
 
 def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -> Run:
-    """Return a run that can be gone on with, the latest if none is named. Raises `Refused` for another.
+    """Return the run `name`, or the latest run, that can be resumed. Raises `Refused` where there is none.
 
-    With `results_too` it may be one that has finished and lacks results, where none waits to be gone on with.
+    With `results_too` it may also be a finished run that lacks results, if no other run can be resumed.
     """
     if name is None:
         digests = Digests(runs)
@@ -525,7 +526,7 @@ def _lacks_results(run: Run, state: RunState | None) -> bool:
 
 
 def _idle_at(run: Run, digests: Digests) -> RunState | None:
-    """Return the state of a run that was begun here and that nobody is carrying out, None for another."""
+    """Return the state of a run begun here that no program is carrying out; None for any other run."""
     try:
         state = None if run.imported else digests.of(run).state
     except (RecordError, ValueError):
@@ -548,7 +549,7 @@ def refuse_missing_devices(run: Run) -> None:
 
 
 def give_up(run: Run, who: WishAuthor = NOBODY_KNOWN) -> tuple[str, ...]:
-    """End a run that nobody carries out for good; return what must be looked after yet, a sentence each.
+    """End a run for good that no program carries out; return a sentence on each thing left to do.
 
     Raises `Refused` for one that has ended, `RecordError` where another program writes it or it was changed.
     """

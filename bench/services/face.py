@@ -1,7 +1,7 @@
-"""What `import bench` offers: each function takes what a person has at hand, and says what it took.
+"""The functions that `import bench` offers: each result names the bench file and the data that it rests on.
 
 Nothing is printed, and nothing is written unless it is asked for (the thresholds of a diagnosis stay in the user's
-cache folder). What cannot be done raises `Refused`, `ReadingsError`, `FileMistakes`, `RecordError` or
+cache folder). Functions raise `Refused`, `ReadingsError`, `FileMistakes`, `RecordError` or
 `CalibrationError`; each text says why and what to do.
 """
 
@@ -89,7 +89,7 @@ def _calibrate(request: Calibrate) -> CalibrationResult:
     `effects` files with formulas of effects of the user's own,
     `runs` the folder of runs (BENCH_RUNS, or ./runs). `join_free` lets free positions (F) join by |a| = 1 g,
     `join_verification` the verification points, `nominal_angles` takes the target angles; `prior` is a file of
-    `bench fleet prior`, what units of the block's type tell.
+    `bench fleet prior`: the coefficients expected from units of the block's type.
     """
     with knowing_effects_in(request.effects):
         (source,) = load_sources(reading(request, request.source))
@@ -116,7 +116,7 @@ verify = python_call(Verify, _verify)
 
 
 def _diagnose(request: Diagnose) -> Diagnosed:
-    """Return where readings and model disagree and what is missing, as `bench diagnose` finds it.
+    """Return where readings and model disagree, and which effects are missing, as `bench diagnose` finds them.
 
     A list of sources is one body of readings, on one bench: of `one_block`, or of a block each; where nobody says
     (None), names and readings tell. The result is a `DiagnosisResult`, of free positions alone a
@@ -129,7 +129,7 @@ def _diagnose(request: Diagnose) -> Diagnosed:
 def _diagnose_each(request: Diagnose) -> list[Diagnosed | Failed]:
     """Return the diagnosis of each source by itself, side by side; a `Failed` for each that could not be.
 
-    What is wrong with one alone is raised. All else as in `diagnose`.
+    The error of a single source is raised. All else as in `diagnose`.
     """
     return diagnosed(request, single_bodies(request))
 
@@ -152,9 +152,9 @@ confirm = python_call(Confirm, _confirm)
 
 @dataclass(frozen=True)
 class DryRun:
-    """A run on simulated instruments that is done; its record lives as long as this object, unless it has a place.
+    """A finished run on simulated instruments: `run` is its record, `source` the readings with the bench.
 
-    `run` is its record, `source` the readings with the bench.
+    The record is deleted with this object, unless it is kept in a folder of runs.
     """
 
     run: Run
@@ -177,7 +177,7 @@ class DryRun:
         return verification_of(self.source, self.calibration) if len(self.readings.verification()) else None
 
     def __repr__(self) -> str:
-        """Return what was run, and the result."""
+        """Return the name of the procedure and the result."""
         lines = [f"Dry run {self.run.name}: {len(self.readings)} readings, bench {self.source.taken.words}"]
         if self.verification is not None:
             lines.append(self.verification.verdict())
@@ -188,7 +188,7 @@ def _dry_run(request: DryRunRequest) -> DryRun:
     """Run a procedure on simulated instruments over the same drivers and wire, with a virtual clock.
 
     `seed` gives the random numbers, `model` a model file with effects that the simulated bench has. The record is
-    kept in the folder `runs` if one is given. Raises `Refused` with all that speaks against the procedure.
+    kept in the folder `runs` if one is given. Raises `Refused` with all mistakes of the procedure.
     """
     from bench.run.folder import Run
     from bench.services.execution import carry_out, new_run

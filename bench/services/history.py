@@ -1,4 +1,4 @@
-"""What many runs tell: of one bench, of one block over time, of noise at rest."""
+"""Evaluations of many runs: of one bench, of one block over time; and of noise at rest."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ from bench.services.traceability import voltmeter_names
 from drivers.clock import utc_now
 
 USUAL_DAYS: Final = 365
-"""For so long a learned file counts where nobody says how long."""
+"""Default number of days for which a learned file is valid."""
 HEAD_EFFECTS: Final = ("head_eccentricity", "head_ellipticity")
 ONE_STAND: Final = (
     "the mean of an angle is taken for the stand's, the same in every installation; where installations have "
@@ -71,7 +71,7 @@ OF_THE_REPEATS: Final = (
 
 @dataclass(frozen=True)
 class LearningResult:
-    """What was learned of a bench: `learned` holds the sizes, `sources` all runs, contradicting ones among them."""
+    """The result of `bench learn`: `learned` holds the sizes, `sources` all runs, also those that contradict."""
 
     learned: Learned
     sources: tuple[Source, ...]
@@ -82,7 +82,7 @@ class LearningResult:
 
     @property
     def bench(self) -> str:
-        """Which bench it is of."""
+        """The bench file of the bench that the runs are of."""
         return self.sources[0].bench.name
 
     @property
@@ -97,7 +97,7 @@ class LearningResult:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader must know."""
+        """Notes for the reader, a sentence each."""
         own = [OF_THE_REPEATS] if self.by_installation else [ONE_STAND, OF_THE_REPEATS]
         if self.simulated:
             own.append("these runs are simulated: what is learned counts for simulated runs alone")
@@ -190,12 +190,13 @@ class LearningResult:
 
 
 def learning_of(request: Learn, sources: Sequence[Source] | None = None) -> LearningResult:
-    """Return what the runs of one bench tell of it, as `bench learn` finds it; `write` makes the learned file.
+    """Return the sizes that the runs of one bench share, as `bench learn` finds them.
 
-    `model` is a model file with effects of the bench, found in many runs together, which become the bench's;
-    `by_installation` gives each installation mean angles of its own; the file counts until `expires` (a year, where
-    nobody says). Else as in `calibrate`. `sources` are those of the request, where they are read already. Raises
-    `Refused` for runs of several benches, `CalibrationError` as `bench.history.learning.learn` does.
+    The method `write` of the result makes the learned file. `model` is a model file with effects of the
+    bench, found in many runs together; the learned file contains them. `by_installation` gives each
+    installation its own mean angles. The file is valid until `expires` (a year by default). All else is as in
+    `calibrate`. `sources` are the sources of the request if they are already read. Raises `Refused` for runs
+    of several benches, `CalibrationError` as `bench.history.learning.learn` does.
     """
     made = utc_now().date()
     until = _until(request.expires, made)
@@ -218,7 +219,7 @@ learn = python_call(Learn, learning_of, "learn")
 
 
 def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime.date:
-    """Return the day until which a file counts that is made today: a day, or a number of days from now."""
+    """Return the last valid day of a learned file: the day stated, or a number of days after `made`."""
     if expires is None:
         return made + datetime.timedelta(days=USUAL_DAYS)
     if isinstance(expires, str):
@@ -318,7 +319,7 @@ NOT_VOLTS: Final = "differences between the voltmeters: the signals are in {unit
 
 
 def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
-    """Return how the voltmeters of runs of one bench differ, or why these runs do not tell it.
+    """Return the differences of the voltmeters of a bench by its runs, or why these runs do not determine them.
 
     The calibrations that it takes are with the stated limits of the stand, in whose rows' lengths these hardly are.
     """
@@ -346,7 +347,7 @@ def _by_channel(source: Source) -> tuple[str, str, str] | None:
 
 
 def _day(source: Source) -> float | None:
-    """Return the day of a record, counted from year 1; None where it is not told."""
+    """Return the day of a record, counted from year 1; None where it is not recorded."""
     try:
         return datetime.datetime.fromisoformat(source.made_at or "").timestamp() / 86400.0
     except ValueError:
@@ -386,12 +387,12 @@ def _written(of: Contrasts) -> dict[str, Any]:
 
 
 Files = Iterator[tuple[str, Path, str]]
-"""What is written: what it is, where, and its text."""
+"""The files to write: a description, the path and the text of each."""
 
 
 @dataclass(frozen=True)
 class ComparisonResult:
-    """A comparison, and the bench file that was taken for each of its readings."""
+    """A comparison of calibrations, with the bench file that was used for each of its readings."""
 
     found: Comparison
     taken: tuple[tuple[str, BenchTaken], ...]
@@ -453,7 +454,7 @@ def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
 
 @dataclass(frozen=True)
 class RecordAtRest:
-    """What a static record says, the bench file that was taken, what to know of that, and the run, if it is one."""
+    """The noise and drift of a static record, with the bench file used, notes on that, and the run if any."""
 
     found: Stability
     taken: BenchTaken
@@ -466,7 +467,7 @@ class RecordAtRest:
         return stability_result(self.found, self.taken.part())
 
     def files(self, out: Path | None) -> Files:
-        """Yield what is written into `out`, or beside the record."""
+        """Yield the files to write into `out`, or beside the record."""
         path = Path(self.found.record.source)
         if self.run is None:
             stem = (out or path.parent / "stability") / path.stem

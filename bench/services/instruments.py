@@ -52,7 +52,7 @@ from drivers.person import Answer, Person, Prompt
 from drivers.wire.replay import WireLog, logged_wire
 
 _LONGEST_S: Final = 180.0
-"""Every driver gives up by its own timeouts; one that does not is told of after this time."""
+"""Time in s after which a driver is reported that has not given up by its own timeouts."""
 
 _BY_HAND: Final = "manual"
 _NO_TEST: Final = "none"
@@ -61,7 +61,7 @@ _PASSED: Final = "passed"
 
 @runtime_checkable
 class _HasScale(Protocol):
-    """A head that can be asked where it stands without being moved."""
+    """A head whose angle can be read back without moving it."""
 
     def position_rad(self) -> float:
         """Return the angle read back."""
@@ -78,9 +78,10 @@ class _Nobody:
 
 @dataclass
 class InstrumentLook:
-    """What is known of one instrument; `failure` is the first thing that went wrong with it.
+    """The findings on one instrument; `failure` is the first fault.
 
-    `samples` is how many a voltmeter is asked for, `to_do` what a person must do where it was not left safe.
+    `samples` is the number of samples asked of a voltmeter; `to_do` is what a person must do where the
+    instrument was not left safe.
     """
 
     name: str
@@ -133,9 +134,9 @@ class InstrumentLook:
 
 
 def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -> list[InstrumentLook]:
-    """Open, test, read and close every instrument of a bench at once; what goes wrong stands in its row.
+    """Open, test, read and close all instruments of a bench in parallel; return a row with the faults of each.
 
-    In `haste` those that do not answer are waited for no longer.
+    `haste` ends the wait for instruments that do not answer.
     """
     assembly = real_bench(file, _Nobody(), wire, haste)
     instruments = assembly.instruments.all()
@@ -194,7 +195,7 @@ def _look_at_all(
 
 
 def _look_at(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
-    """Open, test, read and close one instrument; whatever goes wrong stands in its row."""
+    """Open, test, read and close one instrument; its row keeps every fault."""
     try:
         row.identity = instrument.open()
         if row.identity.maker == _BY_HAND:
@@ -251,10 +252,10 @@ WIRE_LOG: Final = "wire.log"
 
 @dataclass(frozen=True)
 class CommissioningPlan:
-    """What is commissioned and where its page goes.
+    """The options of a commissioning: the bench, the person and the folder of the page.
 
-    Without a `person` it is the simulated bench with the scripted one; `seed` is that of its random numbers.
-    `tell` shows a line.
+    Without a `person`, the bench is simulated and a script answers; `seed` is the seed of its random numbers.
+    `tell` shows a line to the person.
     """
 
     file: BenchFile
@@ -266,12 +267,12 @@ class CommissioningPlan:
 
 
 def free_folder(now: datetime) -> Path:
-    """Return the folder for a commissioning that is not told one."""
+    """Return the default folder of a commissioning."""
     return Path(f"commissioning-{now.astimezone():%Y%m%d-%H%M%S}")
 
 
 def commission(setting: CommissioningPlan) -> dict[str, Any]:
-    """Go through the evening; return its result, which stands in the folder beside page and wire log.
+    """Carry out the commissioning; return its result, which is also written beside its page and wire log.
 
     The bench is left safe and the page written whatever happens. Raises `Refused` for a folder that cannot be
     had, `BenchError` for a simulated bench that cannot be.
@@ -317,9 +318,9 @@ def _take(folder: Path) -> None:
 
 
 def _gone_through(evening: CommissioningSession, interrupts: Interrupts) -> str:
-    """Go through the evening; return why it ended before its end, "" where it did not.
+    """Carry out the session; return why it stopped early, "" where it was completed.
 
-    From its end on no signal raises anything: the bench is left safe and the page written.
+    After the session no signal raises an exception, so that the bench is left safe and the page is written.
     """
     try:
         try:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def knowing_effects_of(*sources: Source) -> Iterator[None]:
-    """Know the user's own effects of sources, while this lasts. Raises `Refused` where two of a name differ."""
+    """Make the user's own effects of sources known in a context. Raises `Refused` where two of a name differ."""
     with ExitStack() as known:
         try:
             known.enter_context(CATALOGUE.also(effect for source in sources for effect in source.effects))

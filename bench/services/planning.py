@@ -1,4 +1,4 @@
-"""What the bench must be, what it contributes, and where to measure: budgets, requirements, test points."""
+"""Planning of a calibration: uncertainty budgets, requirements on the bench, and test points."""
 
 from __future__ import annotations
 
@@ -90,10 +90,10 @@ MOST_ANGLES: Final = 72
 
 @dataclass(frozen=True)
 class PlannedPoints:
-    """The result of `bench plan-points`, with what its text needs beside.
+    """The result of `bench plan-points`, with further data for its text.
 
-    `paper_settings` are those of the paper's procedure, `learned` is whether something was learned of the bench,
-    `time` the one that was allowed.
+    `paper_settings` are those of the paper's procedure, `learned` says whether learned sizes of the bench
+    were used, `time` is the bench time allowed.
     """
 
     result: PlanPointsResult
@@ -163,10 +163,10 @@ def _refuse_contradictions(request: PlanPoints) -> None:
 def stand_of(
     bench: BenchFile, model: ForwardModel, known: KnownStand | None = None, day: datetime.date | None = None
 ) -> Stand:
-    """Return the bench as a plan for it sees it, with everything that a calibration signs.
+    """Return the stand for planning on a bench, with all errors that a calibration states.
 
-    `known` is what was learned of it, `day` that of the readings: what a certificate states has drifted by then.
-    Raises `CalibrationError` for a bench file that states no noise.
+    `known` are learned sizes of stand and noise, `day` is the day of the readings, up to which certificates
+    drift. Raises `CalibrationError` for a bench file that states no noise.
     """
     sizes = {name: d.u for name, d in (bench.stand_distributions() | assumed_stand(bench)).items()}
     hidden = signed_sources(bench, model, day)
@@ -175,7 +175,7 @@ def stand_of(
 
 
 def _goals(request: PlanPoints, stand: Stand, bench: BenchFile) -> list[Goal]:
-    """Return what is to be reached: u of coefficients, of Δg, of |a| up to a size; else all alike."""
+    """Return the goals of a request: u of coefficients, of Δg, or of |a|; by default all coefficients alike."""
     goals = coefficient_goals(dict(_size(text) for text in request.u or ()))
     if request.delta_g is not None:
         goals += delta_g_of(stand, request.delta_g, "--delta-g")
@@ -207,7 +207,7 @@ def _size(text: str) -> tuple[str, float]:
 
 
 def duration_s(option: str, text: str) -> float:
-    """Return a time that an option gives, s. Raises `Refused` for one that is none."""
+    """Return the time that an option states, s. Raises `Refused` for an invalid time."""
     seconds = quantity(option, text, DURATION, plain=False)
     if seconds < 0:
         raise Refused(f"{option} {text}: a time is not negative")
@@ -215,7 +215,7 @@ def duration_s(option: str, text: str) -> float:
 
 
 def _times(request: PlanPoints) -> Times:
-    """Return what the steps of a procedure take. Raises `Refused` for a time that is none."""
+    """Return the durations of the steps of a procedure. Raises `Refused` for an invalid time."""
     times = Times(
         duration_s("--cost-setting", request.cost_setting),
         duration_s("--cost-remount", request.cost_remount),
@@ -228,7 +228,7 @@ def _times(request: PlanPoints) -> Times:
 
 
 def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[Mounting]:
-    """Return the mountings to choose from: without a word all installations of the bench."""
+    """Return the mountings to choose from: by default all installations of the bench."""
     known = [label for label in bench.installation_models() if label not in {VERIFICATION, *UNORIENTED}]
     labels = known
     if installations is not None:
@@ -360,7 +360,7 @@ def _model(path: str | Path | None, bench: BenchFile) -> ForwardModel:
 
 
 def _block(coefficients: str | Path | None, bench: BenchFile) -> tuple[Block, str]:
-    """Return the block about which the budget is, and which one that is."""
+    """Return the block of the budget, and its name in words."""
     if coefficients is not None:
         block = read_coefficients(Path(coefficients), "V").block
         try:
@@ -390,9 +390,10 @@ ACCELERATIONS: Final = frozenset({ACCELERATION_OF, MODULUS_OF})
 
 @dataclass(frozen=True)
 class Requirements:
-    """The result of `bench require`, with what its text needs beside.
+    """The result of `bench require`, with further data for its text.
 
-    `up_to_g` is the largest acceleration, where one is asked about; `left_out` says what is not counted.
+    `up_to_g` is the largest acceleration asked about, if any; `left_out` names the errors that are not
+    counted.
     """
 
     result: RequireResult
@@ -468,7 +469,7 @@ def requirements(request: Require) -> Requirements:
 
 
 def _target(request: Require, bench: BenchFile, *, reading: bool) -> tuple[Target, str, QuantityKind]:
-    """Return what is required, its unit, and how an accuracy of it is written."""
+    """Return the required quantity, its unit, and the form in which its accuracy is written."""
     of, up_to = request.of, request.up_to
     if up_to is not None and of not in ACCELERATIONS:
         raise Refused("--up-to belongs to --of acceleration and --of modulus")
@@ -517,7 +518,7 @@ def _costs(share: str, given: Sequence[str], names: Sequence[str]) -> dict[str, 
 
 
 def _alternatives(asked: Requirement, bench: BenchFile, plan: Plan) -> Iterator[AlternativePart]:
-    """Every estimator on the procedure, then the estimator on the other procedures that the bench can do."""
+    """Yield the other estimators on the procedure, then other procedures that the bench can carry out."""
     shares = asked.shares()
     dominant = next(s for s in asked.sources if s.name == max(shares, key=shares.__getitem__))
     for estimator in tracked(ESTIMATORS, "other estimators"):
@@ -537,7 +538,7 @@ def _alternatives(asked: Requirement, bench: BenchFile, plan: Plan) -> Iterator[
 def _alternative(
     asked: Requirement, dominant: ErrorSource, plan: Plan, bench: BenchFile
 ) -> Iterator[AlternativePart]:
-    """What it gives; nothing where the estimator does not know such readings."""
+    """Yield the result of an alternative; nothing where the estimator cannot use such readings."""
     try:
         reached, limit = asked.reached(), asked.alone(dominant)
     except CalibrationError:

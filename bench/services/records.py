@@ -1,4 +1,4 @@
-"""Run records: how they are listed, what made them, their heads and seals."""
+"""Run records: their list, their software versions, their heads and seals."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ def versions() -> dict[str, str]:
 
 
 def record_head(run: Run) -> dict[str, str | int]:
-    """Return by what a record can be known again: how many events it has, and the head of their chain.
+    """Return the number of events of a record, and the head of their chain, which identify the record.
 
-    The head is the SHA-256 of the last line, and through it of all before: kept elsewhere, as in a result, it shows
-    whether any was changed, removed or added since.
+    The head is the SHA-256 of the last line, which contains the hash of the line before, and so on. A head
+    kept elsewhere, as in a result, shows whether any line was changed, removed or added since.
     """
     return {"events": len(run.history.events), "head": run.history.head}
 
@@ -73,7 +73,7 @@ def run_summaries(runs: Path) -> RunsResult:
 
 
 def run_summary(run: Run, digest_of: Callable[[Run], Digest] = Digest.of) -> RunPart:
-    """Return a row of the list; a run that cannot be read is one as well, with the reason."""
+    """Return the row of a run in the list; for a run that cannot be read, the row has the reason."""
     try:
         digest = digest_of(run)
         state, to_go_on = _state_and_next(run, digest)
@@ -107,7 +107,7 @@ def show_run(
 
 
 def supply_in_words(run: Run) -> str:
-    """Return from which to which voltage and current each rail of the block was; empty where nobody measured it."""
+    """Return the range of voltage and current of each supply rail in words; empty where they were not measured."""
     if run.imported:
         return ""
     return ranges_in_words(columns_of([one.rails for one in run.history.readings.values()]))
@@ -148,7 +148,7 @@ NOTHING_OUTSIDE = (
 
 @dataclass(frozen=True)
 class SealResult:
-    """A seal, its file, and why it has no time stamp where one was asked for."""
+    """A seal, its file, and the reason why it has no time stamp although one was asked for."""
 
     seal: Seal
     file: Path
@@ -179,14 +179,14 @@ def seal_run(run: Run, key: Path | None, server: str | None, passphrase: Callabl
 
 @dataclass(frozen=True)
 class Proof:
-    """What stands behind a record, a sentence each, and what speaks against it."""
+    """The evidence for a record and the problems with it, a sentence each."""
 
     told: tuple[str, ...]
     problems: tuple[str, ...]
 
 
 def proof_of(run: Run, head: str | None, key: Path | None, authority: Path | None) -> Proof:
-    """Hold a record against its seal, and against what is kept elsewhere: a head, a public key, an authority.
+    """Check a record against its seal, and against a head, a public key and an authority that were kept elsewhere.
 
     Raises `Refused` for a head that is none, `RecordError` for a key that cannot be read.
     """
@@ -223,7 +223,7 @@ def proof_of(run: Run, head: str | None, key: Path | None, authority: Path | Non
 
 
 def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], problems: list[str]) -> bool:
-    """Tell who signed; whether that is the one whose key was given."""
+    """Add sentences on who signed the seal, and whether the signature is by the given key."""
     if not seal.signature:
         told.append(
             f"sealed at {seal.events} events, not signed: who can write the folder can write such a seal"
@@ -247,7 +247,7 @@ def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], prob
 
 
 def _time_stamp(seal: Seal, authority: Path | None, told: list[str], problems: list[str]) -> bool:
-    """Tell when the seal was there at the latest; whether a trusted authority stands for it."""
+    """Add sentences on the latest time at which the seal was made, and whether a trusted authority confirms it."""
     if not seal.time_stamp:
         told.append(f"no time stamp: that it was sealed at {seal.sealed} is what the computer's clock said")
         if authority is not None:

@@ -1,4 +1,4 @@
-"""What an analysis is made from: a run, a readings file or a table, with the bench and the model of it."""
+"""The source of an analysis: a run, a readings file or a table, with its bench and model."""
 
 from __future__ import annotations
 
@@ -63,9 +63,10 @@ LEAST_GRAVITY, MOST_GRAVITY = 9.75, 9.85
 
 @dataclass(frozen=True)
 class Request:
-    """What all analyses share: readings (runs by name live in `runs`), and what goes in place of what is usual.
+    """The request that all analyses share: the readings, and the options that replace the defaults.
 
-    `bench` is a bench file by path or name, or one at hand; `out` a folder for what is derived from the readings.
+    `runs` is the folder of runs by name. `bench` is a bench file by path, name or content. `out` is a folder
+    for files derived from the readings.
     """
 
     sources: Sequence[Given]
@@ -93,14 +94,15 @@ def reading(asked: OnReadings, *sources: Given | Path, out: Path | None = None) 
 
 @dataclass(frozen=True)
 class Source:
-    """One run, readings file or table, read, with its bench. `run` is None for all but a run.
+    """The readings of one run, file or table, with bench and model. `run` is None for readings without a run.
 
-    `taken` says which bench file it is, and why that one; `bench` is that of the unit whose readings these are.
-    `origin` is where they come from, None where nobody says it. The readings are corrected as the certificates of
-    the instruments say, of which `traced` tells; `as_read` are those that were read. `effects` are the user's own:
-    those that were known, and those whose formulas stand in the bench file and the model file.
-    `known` is what other runs of the bench told of its stand and noise, None where nothing counts; `known_meters`
-    how its voltmeters differ (the readings are corrected by it, too), learned as `learned_of` says.
+    `taken` is the bench file with the reason for it; `bench` is its content for the unit of these readings.
+    `origin` is the origin of the readings, None where it is not recorded. `readings` are corrected by the
+    certificates of the instruments (`traced`) and by learned differences of the voltmeters; `as_read` are the
+    uncorrected ones. `effects` are the user's own effects: those known to the program, and those whose
+    formulas are in the bench file or the model file. `known` are stand and noise as learned from other runs,
+    None without any. `known_meters` are the learned differences of the voltmeters, `learned_of` says from
+    what.
     """
 
     name: str
@@ -153,7 +155,7 @@ class Source:
 
     @property
     def what_if(self) -> bool:
-        """Whether a run is evaluated with something else than what it recorded: its own results stay then."""
+        """Whether a run is evaluated with other options than it recorded; its own results then stay."""
         if self.run is None:
             return False
         asked = self.request
@@ -205,7 +207,7 @@ def load_sources(request: Request) -> list[Source]:
 
 
 def check_places(request: Request) -> None:
-    """Refuse sources of which one would write over what another wrote. Raises `Refused`."""
+    """Raise `Refused` for sources of which one would overwrite the files of another."""
     if request.out is not None and request.out.exists() and not request.out.is_dir():
         raise Refused(f"--out {request.out}: a file of that name is there; give a folder")
     places = []
@@ -304,7 +306,7 @@ def _learned(
 
 
 def _on_check_block(run: Run) -> tuple[str, ...]:
-    """Say what the check block said as a run began, where it spoke against it."""
+    """Return notes on the check block where it spoke against the run when that began."""
     told = run.manifest.get("check_block")
     if told is None or "said" not in told or told.get("state") == "in control":
         return ()
@@ -358,7 +360,7 @@ def _of_model_file(
 
 
 def _run_of(name: str, runs: Path) -> Run | None:
-    """Tell a run from a readings file: a file is a file, everything else must be a run."""
+    """Return the run of this name; None for a readings file. Raises `Refused` for a missing readings file."""
     path = Path(name)
     if path.is_file() and path.name != MANIFEST:
         return None
@@ -384,7 +386,7 @@ class Failed:
     problem: str
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what stands in the place of its result."""
+        """Return the dictionary that replaces the result of the source."""
         return FailedPart(source=self.name, problem=self.problem).to_dict()
 
     def __str__(self) -> str:
@@ -393,7 +395,7 @@ class Failed:
 
 
 def attempted(name: str, work: Callable[[], R]) -> R | Failed:
-    """Return what is made of a source, or why it cannot be."""
+    """Return the result of `work`, or a `Failed` with the reason."""
     try:
         return work()
     except Exception as error:
@@ -401,7 +403,7 @@ def attempted(name: str, work: Callable[[], R]) -> R | Failed:
 
 
 def load_each(request: Request) -> list[Source | Failed]:
-    """Read several sources, each by itself; what is wrong with one alone is raised, as `load_sources` does."""
+    """Read several sources, each by itself; the error of a single source is raised, as by `load_sources`."""
     if len(request.sources) == 1:
         return [*load_sources(request)]
     check_gravity(request.g_m_s2)
@@ -413,7 +415,7 @@ def load_each(request: Request) -> list[Source | Failed]:
 
 
 def each(loaded: Sequence[Source | Failed], work: Callable[[Source], R]) -> list[R | Failed]:
-    """Return what is made of each source, or why it cannot be; what is wrong with one alone is raised."""
+    """Return the result of `work` for each source, or a `Failed`; the error of a single source is raised."""
     if len(loaded) == 1:
         return [work(source) for source in done(loaded)]
     return [
@@ -423,12 +425,12 @@ def each(loaded: Sequence[Source | Failed], work: Callable[[Source], R]) -> list
 
 
 def done(results: Iterable[T | Failed]) -> list[T]:
-    """Return those that are no failures."""
+    """Return the results that are no `Failed`."""
     return [one for one in results if _is_done(one)]
 
 
 def failures(results: Iterable[object]) -> list[Failed]:
-    """Return those that are."""
+    """Return the results that are a `Failed`."""
     return [one for one in results if isinstance(one, Failed)]
 
 
@@ -471,7 +473,7 @@ def provenance(source: Source) -> dict[str, str]:
 
 
 def _measured(origin: Origin) -> dict[str, str]:
-    """What is known of the run that measured the readings: when, who, what, with which instruments."""
+    """Return the facts known of the run that measured the readings: date, operator, unit and instruments."""
     stated = {"begun": origin.begun, "operator": origin.operator or "not stated"}
     if origin.procedure:
         stated["procedure"] = f"{origin.procedure} (plan SHA-256 {origin.plan_hash})"

@@ -1,4 +1,4 @@
-"""What is known of the instruments of a bench for readings: certificates, and what other runs taught."""
+"""Knowledge of the instruments of a bench: their certificates, and sizes learned from other runs."""
 
 from __future__ import annotations
 
@@ -38,10 +38,12 @@ _NOTHING: Final = "it states no correction"
 
 @dataclass(frozen=True)
 class Traced:
-    """The certificates of a bench with readings of a day, each with why nothing is corrected, empty where it is.
+    """The certificates of a bench for readings of a day, and the corrections of the readings.
 
-    `recorded` is whether a run recorded the readings: else they are taken for what the instruments showed. `by` is
-    what was added to them, of it `by_certificates` what certificates say: the rest was learned.
+    Each entry is a certificate with the reason why it corrects nothing, empty where it does. `recorded` says
+    whether a run recorded the readings; other readings are assumed to be as the instruments showed them. `by`
+    are the corrections added to the readings; `by_certificates` is the part by certificates, the rest was
+    learned.
     """
 
     day: datetime.date
@@ -112,7 +114,7 @@ def remarks(bench: BenchFile, serials: Mapping[str, str] | None = None) -> list[
 
 
 def _day(origin: Origin | None) -> datetime.date:
-    """Return the day of the readings; today, where nobody says it: certificates are not older then."""
+    """Return the day of the readings; today where it is not recorded."""
     try:
         return datetime.datetime.fromisoformat(origin.begun if origin is not None else "").date()
     except ValueError:
@@ -120,7 +122,7 @@ def _day(origin: Origin | None) -> datetime.date:
 
 
 def _answered(bench: BenchFile, origin: Origin | None) -> dict[str, str]:
-    """Return the serial numbers that answered; where only identities are recorded, one that stands in its own."""
+    """Return the serial numbers of the instruments by name; without a recorded one, that found in the identity."""
     if origin is None or origin.simulated:
         return {}
     stated = {s.name: s.certificate.serial for s in bench.instruments.all() if s.certificate is not None}
@@ -133,7 +135,7 @@ def _answered(bench: BenchFile, origin: Origin | None) -> dict[str, str]:
 
 
 def _why_not(standing: Standing, taken: BenchTaken, readings: Readings, origin: Origin | None) -> str:
-    """Say why readings are not corrected by a certificate; nothing where they are."""
+    """Return why a certificate does not correct the readings; empty where it does."""
     of_meter = isinstance(standing.section, VoltmeterForm)
     if standing.foreign:
         return _OTHER
@@ -156,7 +158,7 @@ def _why_not(standing: Standing, taken: BenchTaken, readings: Readings, origin: 
 def voltmeter_names(
     bench: BenchFile, taken: BenchTaken, origin: Origin | None, readings: str
 ) -> dict[str, str]:
-    """Return who read each channel, by the record and its own bench file; empty where they do not tell."""
+    """Return the voltmeter of each channel by the record and its bench file; empty where they do not state it."""
     recorded = None if origin is None else _recorded(bench, taken, origin, readings)
     if origin is None or recorded is None:
         return {}
@@ -197,9 +199,9 @@ SIMULATED: Final = "the sizes of learned file {bench} come from simulated runs"
 
 @dataclass(frozen=True)
 class LearnedTaken:
-    """What an evaluation takes of a learned file, with notes; nothing where the file does not count for it.
+    """The part of a learned file that an evaluation uses, with notes; empty where the file is not valid for it.
 
-    `name` says which differences of meters it is that `meters` hold.
+    `name` identifies the learned differences of voltmeters in `meters`.
     """
 
     known: KnownStand | None = None
@@ -222,9 +224,10 @@ def take_learned(
     hashes: tuple[str, ...] = (),
     simulated: bool | None = None,
 ) -> LearnedTaken:
-    """Return what counts of a file for readings of a day in a unit, of a record with this head and these hashes.
+    """Return the part of a learned file that is valid for readings of a day in a unit.
 
-    `simulated` says whether the readings are, None where nobody does or there are none.
+    `head` and `hashes` identify the record of the readings. `simulated` says whether the readings are
+    simulated, None where this is not stated or there are no readings.
     """
     if file is None:
         return NOTHING_LEARNED
@@ -260,7 +263,7 @@ def learned_for_run(bench: BenchFile, path: Path, created: str, *, simulated: bo
 
 
 def with_effects(model: ForwardModel, effects: tuple[AppliedEffect, ...]) -> ForwardModel:
-    """Return a model with learned effects of the bench beside its own; one that it has stays as it has it."""
+    """Return a model with learned effects of the bench added; effects that the model already has stay unchanged."""
     there = {applied.effect.name for applied in model.effects}
     further = tuple(applied for applied in effects if applied.effect.name not in there)
     return replace(model, effects=(*model.effects, *further)) if further else model

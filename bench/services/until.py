@@ -1,4 +1,4 @@
-"""Runs until it is good enough: goals, floor, choices; the outlook of any run."""
+"""Runs that measure until their goals are reached: goals, floors and choices; the outlook of any run."""
 
 from __future__ import annotations
 
@@ -163,9 +163,9 @@ def _asked(size: float) -> float:
 def chooser_of(
     plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING_LEARNED
 ) -> Chooser:
-    """Return what chooses for these goals, with what was `learned` of the bench as a calibration takes it.
+    """Return the chooser of settings for these goals; it uses the `learned` sizes as a calibration does.
 
-    Raises `Refused`: also for a goal that no reading can reach.
+    Raises `Refused` for invalid goals, and for a goal that no readings can reach.
     """
     model = with_effects(ForwardModel(bench.installation_models()), learned.effects)
     try:
@@ -187,7 +187,7 @@ def chooser_of(
 
 
 def _is_told(name: str, learned: LearnedTaken) -> bool:
-    """Whether a size of the stand that nobody stated was learned."""
+    """Return whether the size of this name was learned from runs."""
     return learned.known is not None and name in {kind for kind, _ in learned.known.keys}
 
 
@@ -222,7 +222,7 @@ def _refuse_too_short(aim: Aim, pool: Pool) -> None:
 
 
 class Until:
-    """Chooses on the way, by the record alone: a run that was killed and taken up again chooses the same."""
+    """The chooser of a run's next settings; it uses the record alone, so a resumed run chooses the same."""
 
     def __init__(self, run: Run, bench: BenchFile) -> None:
         self._run = run
@@ -231,7 +231,7 @@ class Until:
         self._point_of = {point.reads[0]: point for point in self._chooser.pool.points}
 
     def __call__(self, index: int, progress: PlanProgress) -> dict[str, Any] | None:
-        """Return what is chosen at a step, None where there is nothing to choose."""
+        """Return the choice at a step; None where there is nothing to choose."""
         pool = self._chooser.pool
         last = progress.chosen[-1] if progress.chosen else None
         refused = frozenset(v.mount for v in pool.visits if v.mount_step in progress.skipped)
@@ -252,7 +252,7 @@ class Until:
         return replace(choice, left_out=choice.left_out | needless).to_json()
 
     def _standing(self, visit: int, refused: frozenset[Mounting], progress: PlanProgress) -> Standing:
-        """Return what the record on the disk says."""
+        """Return the present standing of the run by its record on the disk."""
         history = Run(self._run.folder).trusted_history()
         taken = {step: r for step, r in history.readings.items() if step in self._point_of}
         done: Counter[Site] = Counter()
@@ -305,12 +305,12 @@ class Until:
 
 
 def until_of(run: Run, bench: BenchFile) -> Callable[[int, PlanProgress], dict[str, Any] | None]:
-    """Return what chooses for a run that goes on until it is good enough; for any other nothing is chosen."""
+    """Return the chooser of a run with goals; for any other run, a function that chooses nothing."""
     return Until(run, bench) if run.manifest.get("until") else lambda index, progress: None
 
 
 def is_short(run: Run) -> bool:
-    """Whether a run ended without what it was to reach."""
+    """Return whether a run ended without reaching its goals."""
     try:
         chosen = run.history.progress.chosen
     except RecordError:
@@ -345,7 +345,7 @@ def outlook_until(
 
 
 def look_ahead(request: Check) -> Findings:
-    """Return what a procedure will do on a bench.
+    """Return the findings of `bench check`: the plan of a procedure on a bench, and its outlook.
 
     Raises `Refused` with the mistakes of both files, and for goals that cannot be reached.
     """
@@ -414,7 +414,7 @@ def _find(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
 
 
 def _hints(bench: BenchFile) -> Iterator[str]:
-    """Say what is no mistake on a simulated bench, and likely one on a real one; and what certificates lack."""
+    """Return hints on likely mistakes for a real bench that a simulated one allows, and on the certificates."""
     yield from remarks(bench)
     for meter in bench.instruments.voltmeters:
         if is_serial(meter.resource) and meter.interface == "lan":
@@ -425,7 +425,7 @@ def _hints(bench: BenchFile) -> Iterator[str]:
 
 
 def _outlook(plan: Plan, bench: BenchFile) -> Outlook | None:
-    """What a calibration from the plan leaves open; None where an installation is not known."""
+    """Return what a calibration from the plan leaves undetermined; None where an installation is not known."""
     settings = settings_of(plan)
     installations = bench.installation_models()
     if not {s.mount.installation for s in settings} <= set(installations):
@@ -435,7 +435,7 @@ def _outlook(plan: Plan, bench: BenchFile) -> Outlook | None:
 
 
 def _free_bytes(folder: Path) -> int:
-    """Return what is free on the disk of a folder, or of the nearest one above it that is there."""
+    """Return the free bytes on the disk of a folder, or of its nearest existing parent."""
     path = folder.resolve()
     while not path.exists():
         path = path.parent

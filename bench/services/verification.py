@@ -1,4 +1,4 @@
-"""By which limit and rule verification points are judged, and the verdict on them."""
+"""The verdict on verification points, and the limit and rule behind it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from bench.services.source import Source
 
 @dataclass(frozen=True)
 class VerdictOptions:
-    """How a verdict is to be found in place of what the bench file says; None leaves it to that.
+    """Options of a verdict that replace the values of the bench file; None keeps a value.
 
     `limit_g` of |Δg| in g, `rule` and its guard band in U, `population` (mean, standard deviation of Δg in g).
     """
@@ -97,14 +97,14 @@ NOBODY_STATED_ONE: Final = DecisionRule()
 
 @dataclass(frozen=True)
 class Judgement:
-    """By what a verdict is found: limit of |Δg| in g, decision rule, and what is known of Δg over many blocks."""
+    """The basis of a verdict: limit of |Δg| in g, decision rule, and the population of Δg over many blocks."""
 
     limit_g: float
     rule: DecisionRule
     population: Population | None
 
     def but(self, asked: VerdictOptions) -> Judgement:
-        """Return what was asked for, in place of what there is; a guard band goes with its own rule alone."""
+        """Return the judgement with the options asked for; a guard band is kept only with its own rule."""
         rule = self.rule
         if asked.guard_band is not None:
             rule = DecisionRule.of(asked.rule or rule.name, asked.guard_band)
@@ -121,10 +121,10 @@ class Judgement:
 def judgement_of(
     bench: BenchFile, *asked: VerdictOptions, default: DecisionRule = NOBODY_STATED_ONE
 ) -> Judgement:
-    """Return by what a verdict is found: what was asked for, the last first, else what the bench file says.
+    """Return the basis of a verdict: the options asked for, of which the last count first, else the bench file.
 
-    Where neither names a rule it is the `default`. Raises `Refused` as `Asked.check`, and `CalibrationError` for a
-    guard band with a rule that has none.
+    Where neither names a rule, the rule is the `default`. Raises `Refused` as `Asked.check`, and
+    `CalibrationError` for a guard band with a rule that has none.
     """
     stated, known = bench.verification, bench.verification.population
     judgement = Judgement(
@@ -139,7 +139,7 @@ def judgement_of(
 
 
 def own_judgement(source: Source, *asked: VerdictOptions, agreed: DecisionRule | None = None) -> Judgement:
-    """Return by what the verdict on a source is found: of a run as it was begun, unless more is asked for.
+    """Return the basis of the verdict on a source: for a run as stated when it was begun, unless options differ.
 
     `agreed` holds where neither the run nor its bench file names a rule.
     """
@@ -149,7 +149,7 @@ def own_judgement(source: Source, *asked: VerdictOptions, agreed: DecisionRule |
 
 
 def _default_of(run: Run | None) -> DecisionRule:
-    """Return the rule that held where nobody stated one when a run was begun; today's for what is no run."""
+    """Return the default rule at the time when a run was begun; without a run, the present default rule."""
     if run is None:
         return NOBODY_STATED_ONE
     recorded = run.manifest.get("default_rule")
@@ -160,8 +160,8 @@ def _default_of(run: Run | None) -> DecisionRule:
 class VerificationResult:
     """Δg at the verification points of a source against the limit.
 
-    `warnings` are on the coefficients used, `said` is on their uncertainty, `fit` is that of coefficients of the
-    same readings.
+    `warnings` are sentences on the coefficients used, `said` on their uncertainty. `fit` is the lack of fit
+    where the coefficients are from the same readings.
     """
 
     source: Source
@@ -203,7 +203,7 @@ class VerificationResult:
 
     @property
     def _against(self) -> tuple[str, ...]:
-        """What speaks against coefficients that were found of the same readings."""
+        """Reasons against coefficients that were found from the same readings."""
         return () if self.fit is None else self.fit.diagnose(self.source.name)
 
     @property
@@ -315,7 +315,7 @@ def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[
 
 
 def _when(text: str | None) -> datetime | None:
-    """Return a civil time as a result has it; None where there is none."""
+    """Return the civil time that a result states; None where it states none."""
     try:
         return datetime.fromisoformat(text or "").astimezone()
     except ValueError:

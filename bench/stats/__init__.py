@@ -1,4 +1,4 @@
-"""Statistics that know nothing of a bench; here what several looks at once are worth.
+"""Statistics that know nothing of a bench; here: the adjustment of p-values for several tests.
 
 Source: S. Holm, "A simple sequentially rejective multiple test procedure", Scand. J. Statist. 6 (1979) 65.
 """
@@ -11,7 +11,7 @@ from bench.base.arrays import Floats
 
 
 def holm(p: Floats) -> Floats:
-    """Return probabilities (m,) adjusted for m looks: p_(k) times (m - k), never falling, at most 1."""
+    """Return probabilities (m,) adjusted for m tests: p_(k) times (m - k), never falling, at most 1."""
     order = np.argsort(p)
     stepped = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
     adjusted = np.empty_like(p)

@@ -13,17 +13,17 @@ from bench.base.arrays import Floats, Ints, Mask, u_of
 from bench.base.computing import CalibrationError
 
 LONGEST_PART: Final = 4
-"""Averaging times go up to the record's length over this: beyond, one or two values decide."""
+"""Longest averaging time as record length over this: beyond it, one or two values decide."""
 CONFIDENCE: Final = 0.95
 LAGS: Final = 100
-"""Greenhall and Riley's J_max: the correlations of more windows than this are not summed one by one."""
+"""Greenhall and Riley's J_max: largest number of windows whose correlations are summed one by one."""
 LONG_RECORD: Final = {0: (2.0 / 3.0, 1.0 / 3.0), -1: (0.852, 0.375), -2: (1.079, 0.368)}
 """Greenhall and Riley's table 2 for second differences: a0, a1 of 1/edf = (a0 - a1/r)/r by power of frequency."""
 
 
 @dataclass(frozen=True)
 class AllanCurve:
-    """Allan deviation `deviation` (k,) at `tau_s` (k,), averages of `multiples` (k,) samples of `samples`."""
+    """An Allan curve: `deviation` (k,) at `tau_s` (k,), averages of `multiples` (k,) samples of `samples`."""
 
     tau_s: Floats
     deviation: Floats
@@ -50,8 +50,8 @@ def allan_curve(signal: Floats, interval_s: float, multiples: Sequence[int] | No
     """Return the overlapping Allan deviation of samples (n,), one every `interval_s`.
 
     At averages of 1, 2, 4, … samples up to a quarter of the record, or of `multiples`, in order, as far as the
-    record has two differences of such averages. Raises `CalibrationError` when it has of none, when the signal
-    never changes, and when a sample is not a number.
+    record has two differences of such averages. Raises `CalibrationError` when the record is too short, when
+    the signal never changes, and when a sample is not a number.
     """
     if not np.all(np.isfinite(signal)):
         raise CalibrationError("a sample is not a number; an Allan deviation needs a record without holes")
@@ -72,13 +72,13 @@ def allan_curve(signal: Floats, interval_s: float, multiples: Sequence[int] | No
 
 
 def _deviation(sums: Floats, m: int) -> float:
-    """Overlapping Allan deviation at m samples of a signal's running sums (n + 1,): SP 1065, eq. 11."""
+    """Return the overlapping Allan deviation at m samples from running sums (n + 1,): SP 1065, eq. 11."""
     second = sums[2 * m :] - 2.0 * sums[m:-m] + sums[: -2 * m]
     return float(np.sqrt(np.mean(second**2) / 2.0) / m)
 
 
 def _freedom(alpha: int, m: int, samples: int) -> float:
-    """Degrees of freedom at m samples: Greenhall and Riley's cases 2 and 4, for d = 2, F = S = m."""
+    """Return degrees of freedom at m samples: Greenhall and Riley's cases 2 and 4, for d = 2, F = S = m."""
     windows = samples + 1 - 2 * m
     r = windows / m
     if alpha == 2:  # windows of white phase noise are alike one and two averages apart only
@@ -92,7 +92,7 @@ def _freedom(alpha: int, m: int, samples: int) -> float:
 
 
 def _summed(alpha: int, lags: int, windows: int, stride: float, width: float) -> float:
-    """Degrees of freedom from the correlations of windows 0 … lags strides apart: their eq. 10."""
+    """Return the degrees of freedom from the correlations of windows 0 … lags strides apart: their eq. 10."""
     j = np.arange(lags + 1)
     alike = _covariance(j / stride, alpha, width)
     weight = 2.0 * (1.0 - j / windows)
@@ -101,9 +101,9 @@ def _summed(alpha: int, lags: int, windows: int, stride: float, width: float) ->
 
 
 def _covariance(t: Floats, alpha: int, width: float) -> Floats:
-    """Covariance, but for a factor, of second differences t (…) averages apart: their eq. 7 to 9.
+    """Return the covariance, up to a factor, of second differences t (…) averages apart: their eq. 7 to 9.
 
-    Of averages of `width` samples each, or of a signal without steps where it is infinite.
+    The averages have `width` samples each; an infinite width means a continuous signal.
     """
     apart = np.asarray(t)[..., None] + np.arange(-2.0, 3.0)
     if np.isinf(width):
@@ -115,7 +115,7 @@ def _covariance(t: Floats, alpha: int, width: float) -> Floats:
 
 
 def _kernel(t: Floats, alpha: int) -> Floats:
-    """Covariance, but for its sign, of phase t (…) apart: |t|^(3 - alpha), times ln |t| where that is even."""
+    """Return the covariance, up to its sign, of phase t (…) apart: |t|^(3 - alpha), times ln |t| if even."""
     size = np.abs(t)
     power = size ** (3 - alpha)
     return np.asarray(power if alpha % 2 == 0 else special.xlogy(power, size), dtype=np.float64)
@@ -123,7 +123,7 @@ def _kernel(t: Floats, alpha: int) -> Floats:
 
 @dataclass(frozen=True)
 class NoiseTerm:
-    """A noise term: its symbol, what it is called, its unit over the signal's, how it enters sigma^2.
+    """A noise term: its symbol, name, unit relative to the signal's, and contribution to sigma^2.
 
     sigma^2 = `factor` x^2 tau^`power`; `alpha` is the power of frequency in its spectrum; `alike` the
     correlation of the Allan variances at tau and 2 tau where it prevails (found by simulation).
@@ -146,17 +146,18 @@ TERMS: Final = (
     NoiseTerm("R", "drift", "/s", 0.5, 2, -2, 0.95),
 )
 SHOWN: Final = 2.0
-"""A term is shown when its square is more than this many standard uncertainties from nothing."""
+"""A term is shown when its square is more than this many standard uncertainties above zero."""
 ROUNDS: Final = 50
 MISFIT_P: Final = 0.001
 
 
 @dataclass(frozen=True)
 class NoiseTerms:
-    """Squares of Q, N, B, K, R (5,) with covariance (5, 5) and what they make of the curve.
+    """Fitted noise terms: squares of Q, N, B, K, R (5,) with covariance (5, 5), and the test of the fit.
 
     `freedom` (k,) are the degrees of freedom of the curve's values; `p` is the probability of a misfit so large:
-    small where lines in the spectrum (vibration) make the curve none of these terms; below 0.001 the covariance
+    it is small where
+    lines in the spectrum (vibration) do not fit these terms. Below 0.001 the covariance
     is widened by the misfit (Birge's ratio).
     """
 
@@ -172,7 +173,7 @@ class NoiseTerms:
 
     @property
     def shown(self) -> Mask:
-        """Which terms the record shows, shape (5,)."""
+        """Mask of the terms that the record shows, shape (5,)."""
         return self.squares > SHOWN * u_of(self.covariance)
 
     @property
@@ -187,7 +188,7 @@ class NoiseTerms:
         return np.asarray(np.sqrt(self.squares + 2.0 * u_of(self.covariance)), dtype=np.float64)
 
     def deviation(self, tau_s: Floats | float) -> Floats:
-        """Return the Allan deviation that the terms make at averaging times (…)."""
+        """Return the Allan deviation from the terms at averaging times (…)."""
         return np.asarray(np.sqrt(_columns(np.asarray(tau_s, dtype=np.float64)) @ self.squares))
 
     def slope(self, tau_s: Floats | float) -> Floats:
@@ -201,8 +202,8 @@ class NoiseTerms:
 def fit_terms(curve: AllanCurve) -> NoiseTerms:
     """Fit the five terms, none negative, to an Allan deviation at averages of 1, 2, 4, … samples.
 
-    Weighted by the degrees of freedom of each value, with the variances that the fit itself predicts (Fisher's
-    scoring of scaled chi-squares); the covariance counts with the likeness of neighbouring values.
+    Each value is weighted by its degrees of freedom, with the variances that the fit predicts (Fisher
+    scoring of scaled chi-squares). The covariance accounts for the correlation of neighbouring values.
     """
     columns, measured = _columns(curve.tau_s), curve.deviation**2
     squares, white = _start(curve, columns, measured), curve.freedom(np.zeros(len(measured)))
@@ -239,14 +240,14 @@ def fit_terms(curve: AllanCurve) -> NoiseTerms:
 
 
 def _columns(tau_s: Floats) -> Floats:
-    """What one of each square adds to the Allan variance at averaging times (…), shape (…, 5)."""
+    """Return the Allan variance by a unit of each square at averaging times (…), shape (…, 5)."""
     powers = np.array([float(term.power) for term in TERMS])
     factors = np.array([term.factor for term in TERMS])
     return np.asarray(factors * tau_s[..., None] ** powers, dtype=np.float64)
 
 
 def _start(curve: AllanCurve, columns: Floats, measured: Floats) -> Floats:
-    """All terms alike at the middle of the curve, so that none begins at its bound."""
+    """Return start values with equal terms at the middle of the curve, so that none begins at its bound."""
     middle = len(measured) // 2
     return np.asarray(measured[middle] / columns[middle] / len(TERMS), dtype=np.float64)
 
@@ -257,7 +258,7 @@ def _unit_columns(columns: Floats) -> tuple[Floats, Floats]:
 
 
 def _spread(predicted: Floats, freedom: Floats, kind: Ints) -> Floats:
-    """Covariance (k, k) of the measured variances: 2 sigma^4/edf each, neighbours alike as their noise makes."""
+    """Return the covariance (k, k) of the measured variances: 2 sigma^4/edf each, neighbours correlated."""
     alike = np.array([TERMS[k].alike for k in kind])
     steps = np.concatenate([[0.0], np.cumsum(np.log(np.sqrt(alike[1:] * alike[:-1])))])
     correlation = np.exp(-np.abs(steps[:, None] - steps[None, :]))

@@ -23,9 +23,9 @@ from bench.base.arrays import Floats, u_of
 from bench.base.computing import CalibrationError
 
 NODES: Final = 96
-"""Points of the Gauss-Legendre quadrature: six digits of the ARL with smoothing from 0.03 on."""
+"""Number of points of the Gauss-Legendre quadrature: six digits of the ARL with smoothing from 0.03 on."""
 LEAST_SMOOTHING: Final = 0.03
-"""Below it the published tables end, and the quadrature wants more points."""
+"""Least smoothing: below it the published tables end, and the quadrature needs more points."""
 
 
 def shewhart_arl(k: float, shift: float = 0.0) -> float:
@@ -34,7 +34,7 @@ def shewhart_arl(k: float, shift: float = 0.0) -> float:
 
 
 def ewma_arl(smoothing: float, k: float, shift: float = 0.0) -> float:
-    """Return the ARL of a two-sided EWMA that begins at the centre, its limits at once where they end up.
+    """Return the ARL of a two-sided EWMA that begins at the centre, with asymptotic limits throughout.
 
     The limits are k sqrt(smoothing/(2 - smoothing)) standard deviations of one value from the centre; the mean is
     off by `shift` standard deviations from the first value on (Crowder 1987, equation 3).
@@ -93,7 +93,7 @@ def mewma_limit(smoothing: float, arl: float, dimensions: int) -> float:
 
 
 def _root(length: Callable[[float], float], arl: float, most: float) -> float:
-    """Return where a run length, which rises with the limit, is `arl`: that without memory is the most."""
+    """Return the limit at which a rising run length is `arl`; `most`, the limit without memory, bounds it."""
     return float(
         optimize.brentq(lambda limit: np.log(length(limit) / arl), 0.2 * most, 1.01 * most, xtol=1e-6)
     )
@@ -101,15 +101,14 @@ def _root(length: Callable[[float], float], arl: float, most: float) -> float:
 
 Basis = Literal["stated", "scaled", "scatter"]
 BASES: Final = ("stated", "scaled", "scatter")
-"""The u of a run as stated; the same times one factor that the baseline shows; the scatter of the baseline
-alone."""
+"""Bases of limits: stated u of a run; stated u times a factor from the baseline; scatter of the baseline."""
 
 
 @dataclass(frozen=True)
 class Centre:
-    """What a baseline of m runs says: `value` (…, p) with `covariance` (p, p), and how large u is in truth.
+    """The centre from a baseline of m runs: `value` (…, p) with `covariance` (p, p), and the true size of u.
 
-    `scale` (…,) is by how much the stated covariance is to be multiplied: 1 where it is believed, else the square
+    `scale` (…,) is the factor on the stated covariance: 1 where it is believed, else the square
     of the Birge ratio. `scatter` (…, p, p) is the sample covariance where that alone counts, None else. `dof` are
     the degrees of freedom of either, infinite where u is believed. Leading axes are charts side by side.
     """
@@ -133,7 +132,7 @@ class Centre:
         return np.asarray(2.0 * special.stdtr(self.dof, -np.abs(z)))
 
     def p_joint(self, t2: Floats) -> Floats:
-        """Return the probabilities of as much in all coefficients together."""
+        """Return the probabilities of joint statistics `t2` at least as large."""
         p = self.dimensions
         if np.isinf(self.dof):
             return np.asarray(special.chdtrc(p, t2))
@@ -143,13 +142,13 @@ class Centre:
         return np.asarray(special.fdtrc(p, left, t2 * left / (p * self.dof)))
 
     def single_limit(self, probability: float) -> float:
-        """Return the deviation, in u of one coefficient, that has a two-sided probability."""
+        """Return the deviation, in u of one coefficient, with this two-sided probability."""
         if np.isinf(self.dof):
             return float(-special.ndtri(0.5 * probability))
         return float(-special.stdtrit(self.dof, 0.5 * probability))
 
     def joint_limit(self, probability: float) -> float:
-        """Return the joint statistic that has a probability."""
+        """Return the joint statistic that chance exceeds with this probability."""
         p = self.dimensions
         if np.isinf(self.dof):
             return float(special.chdtri(p, probability))
@@ -180,7 +179,7 @@ def least_runs(basis: Basis, dimensions: int) -> int:
 
 
 def centre_of(values: Floats, covariances: Floats, basis: Basis) -> Centre:
-    """Return what runs (…, m, p) with covariances (m, p, p) say of the block and of u.
+    """Return the centre, and the size of u, from runs (…, m, p) with covariances (m, p, p).
 
     Raises `CalibrationError` where they are fewer than the basis needs.
     """
@@ -219,8 +218,8 @@ def judge(
     """Judge runs (…, n, p), in their order, with covariances (n, p, p) against a centre.
 
     With `smoothing` below 1 it is their EWMA, Z_t = smoothing r_t + (1 - smoothing) Z_{t-1} of the deviations r
-    from the centre, Z_0 = 0. `shared` (n, p, q) is what errors of unit u, the same in all runs, add to each of
-    them. `settled` takes the variance at which the EWMA ends up from the first value on, as published tables do.
+    from the centre, Z_0 = 0. `shared` (n, p, q) is the change of each run by errors of size u that all runs
+    share. `settled` uses the asymptotic variance of the EWMA from the first value on, as published tables do.
     """
     weight = 1.0 - smoothing
     deviation = _filtered(values - centre.value[..., None, :], smoothing, weight, -2)
@@ -270,16 +269,16 @@ def _filtered(values: Floats, gain: float, weight: float, axis: int) -> Floats:
 
 
 STATISTICS: Final = 3
-"""What rejects a run: T² of the run, T² of the EWMA, and its short-term standard deviation."""
+"""Number of rejecting statistics: T² of the run, T² of the EWMA, and its short-term standard deviation."""
 DEFAULT_ARL: Final = 370.0
 DEFAULT_SMOOTHING: Final = 0.2
 
 
 @dataclass(frozen=True)
 class ChartDesign:
-    """The average run length between false alarms of the whole, the smoothing of the EWMA, what limits are from.
+    """Design of a chart: average run length between false alarms, smoothing of the EWMA, basis of limits.
 
-    A rate is shared in equal parts by the three statistics that reject: for rare alarms their rates add up.
+    The three statistics that reject share the alarm rate equally: rates of rare alarms add up.
     """
 
     arl: float = DEFAULT_ARL
@@ -293,30 +292,30 @@ class ChartDesign:
 
     @property
     def alpha(self) -> float:
-        """How often T² of a run, and its short-term standard deviation, are each beyond their limit by chance."""
+        """False-alarm probability per run of T² of a run, and of its short-term standard deviation."""
         return 1.0 / self.each_arl
 
     def alpha_ewma(self, dimensions: int) -> float:
-        """How often T² of the EWMA is beyond the limit that has its run length, at any one run, by chance."""
+        """Return the probability of chi-square beyond the limit of T² of the EWMA that has its run length."""
         return float(special.chdtrc(dimensions, mewma_limit(self.smoothing, self.each_arl, dimensions)))
 
     def alpha_single(self, dimensions: int) -> float:
-        """The same of one coefficient among so many: their chart has the run length of T²."""
+        """Return the alarm probability of one of `dimensions` coefficients that share the rate of T²."""
         return self.alpha / dimensions
 
     def alpha_single_ewma(self, dimensions: int) -> float:
-        """The same of the EWMA of one coefficient among so many."""
+        """Return the two-sided probability at the EWMA limit of one of `dimensions` coefficients."""
         k = ewma_k(self.smoothing, self.each_arl * dimensions)
         return float(2.0 * special.ndtr(-k))
 
 
 ALIKE_P = 0.01
-"""Baseline and stated u contradict one another where chance would show as much less often than this."""
+"""P-value below which baseline and stated u contradict each other."""
 
 
 @dataclass(frozen=True)
 class ShortTerm:
-    """Standard deviations of short term (n,) with `dof` (n,), against `pooled` of the baseline with `pooled_dof`.
+    """Short-term standard deviations with `dof` (n,), against `pooled` of the baseline with `pooled_dof`.
 
     `f` is the square of their ratio, `p` the probability of more by chance (F test, one-sided).
     """
@@ -329,7 +328,7 @@ class ShortTerm:
     p: Floats
 
     def limits(self, probability: float) -> Floats:
-        """Return the largest standard deviation (n,) that chance shows more often than a probability."""
+        """Return the standard deviations (n,) that chance exceeds with this probability."""
         return np.asarray(
             self.pooled
             * np.sqrt(special.fdtri(np.maximum(self.dof, 1.0), self.pooled_dof, 1.0 - probability))
@@ -353,11 +352,12 @@ def short_term(s: Floats, dof: Floats, baseline_s: Floats, baseline_dof: Floats)
 class Components:
     """The variability of each coefficient (p,) in a baseline of `runs` runs.
 
-    `noise` is what reading noise makes of it (level 1), `stated` the u of one run from everything that comes anew
-    with it; `scatter` is the standard deviation between runs, with `runs` - 1 degrees of freedom, `f` the square of
-    its ratio to `stated` and `p` the probability of more by chance, `between` what it holds beyond stated u, and
-    `between_most` the most that it may hold (95 %). `birge2` is the same ratio of all coefficients together, with
-    `birge_dof` and two-sided `birge_p`; `alike_p` tells whether stated u is as right in every direction.
+    `noise` is the part from reading noise (level 1), `stated` the u of one run from everything that comes
+    anew with it; `scatter` is the standard deviation between runs, with `runs` - 1 degrees of freedom, `f`
+    the square of its ratio to `stated` and `p` the probability of more by chance, `between` what it holds
+    beyond stated u, and `between_most` the most that it may hold (95 %). `birge2` is the same ratio of all
+    coefficients together, with `birge_dof` and two-sided `birge_p`; `alike_p` tells whether stated u is as
+    right in every direction.
     """
 
     runs: int
@@ -375,7 +375,7 @@ class Components:
 
     @property
     def more_than_stated(self) -> Floats:
-        """Probabilities (p,) for so many looks: Bonferroni over the coefficients."""
+        """P-values (p,) for a larger scatter than stated, adjusted by Bonferroni's method."""
         return np.minimum(1.0, len(self.p) * self.p)
 
 
@@ -410,7 +410,7 @@ def components_of(values: Floats, covariance: Floats, noise: Floats) -> Componen
 
 
 def _bartlett(variances: Floats, dof: int) -> float:
-    """Return the probability of variances (p,), each with `dof`, so different by chance."""
+    """Return the p-value of equal variances (p,), each with `dof`, by Bartlett's test."""
     p = len(variances)
     gap = p * dof * np.log(variances.mean()) - dof * np.log(variances).sum()
     return float(special.chdtrc(p - 1, gap / (1.0 + (p + 1.0) / (3.0 * p * dof))))
@@ -418,7 +418,7 @@ def _bartlett(variances: Floats, dof: int) -> float:
 
 @dataclass(frozen=True)
 class DriftSeen:
-    """How each coefficient (p,) of the check block drifts: `per_year` with `u`, `p` for so many looks."""
+    """Drift of each coefficient (p,) of the check block: `per_year` with `u`, and adjusted p-value `p`."""
 
     per_year: Floats
     u: Floats

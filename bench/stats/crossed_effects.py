@@ -1,10 +1,10 @@
 """Crossed random effects of units and benches: one coefficient of many calibrations.
 
 value = mean of its group + unit effect + bench effect + excess + error of the calibration of stated u, all normal
-and independent; a group is a type of unit on a connected set of benches. Sizes are of greatest restricted
+and independent. A group is a type of unit on a connected set of benches. Sizes maximise the restricted
 likelihood.
-Units are many and benches few: units are eliminated one by one (Woodbury), what is left is a matrix of groups and
-benches (Schur complement), so that the work is in proportion to the number of values.
+Units are many and benches few. Units are eliminated one by one (Woodbury), which leaves a matrix of groups
+and benches (Schur complement). So the work is in proportion to the number of values.
 Sources: S. R. Searle, G. Casella, C. E. McCulloch, Variance Components (1992), ch. 6 and 7 (equations, prediction);
 A. R. Gilmour, R. Thompson, B. R. Cullis, Biometrics 51 (1995) 1440 (average information); R. N. Kackar,
 D. A. Harville, J. Am. Stat. Assoc. 79 (1984) 853 (u of predictions whose sizes are estimates).
@@ -25,14 +25,14 @@ from bench.stats.reml import profile_of
 
 UNIT, BENCH, EXCESS = 0, 1, 2
 LEAST_PART: Final = 1e-3
-"""A size below this part of its scale is as good as none."""
+"""A size below this part of its scale counts as zero."""
 TRIED: Final = 0.1
-"""A size below this part of its scale is left out where the likelihood does not fall for it."""
+"""A size below this part of its scale is set to zero if that does not lower the likelihood."""
 
 
 @dataclass(frozen=True)
 class Crossing:
-    """Who was measured where: `unit` (n,) and `bench` (n,) count from 0, `kind` (n,) is the type of the unit."""
+    """The design of n values: `unit` and `bench` (n,) count from 0, `kind` (n,) is the unit's type."""
 
     unit: Ints
     bench: Ints
@@ -96,7 +96,7 @@ class Crossing:
 
     @cached_property
     def repeated(self) -> int:
-        """Values beyond the first of each unit: degrees of freedom of what differs within units."""
+        """Number of values beyond the first of each unit: degrees of freedom within units."""
         return len(self.unit) - self.units
 
     def alone(self) -> Ints:
@@ -107,11 +107,11 @@ class Crossing:
 
 @dataclass(frozen=True)
 class MixedModelEquations:
-    """The equations of mixed models at some sizes, of groups and benches: units are eliminated.
+    """The mixed model equations at given sizes for groups and benches, with the units eliminated.
 
-    `w` (n,) are weights, `W` (U,) their sums over units, `s` (U,) what eliminating a unit takes off; `lower`
-    (T + B, T + B) the Cholesky factor, of columns of benches times their size; `solution` (T + B,); `likelihood`
-    the restricted one, a constant apart.
+    `w` (n,) are weights, `W` (U,) their sums over units, `s` (U,) the terms subtracted by eliminating a
+    unit; `lower` (T + B, T + B) the Cholesky factor, of columns of benches times their size; `solution` (T +
+    B,); `likelihood` the restricted one, up to a constant.
     """
 
     crossing: Crossing
@@ -130,7 +130,7 @@ class MixedModelEquations:
 
     @cached_property
     def bench_covariance(self) -> Floats:
-        """Covariance (B, B) of the errors of prediction, for sizes that are known."""
+        """Covariance (B, B) of the prediction errors of benches, for known sizes."""
         inverse = linalg.cho_solve((self.lower, True), np.eye(len(self.lower)))
         own = inverse[self.crossing.groups :, self.crossing.groups :]
         return np.asarray(self.sizes[BENCH] ** 2 * own)
@@ -184,9 +184,9 @@ def _sums(crossing: Crossing, weighed: Floats, size: float) -> Floats:
 
 
 def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> MixedModelEquations:
-    """Set the equations up and solve them, for values `y` (n,) of stated `variance` (n,) and sizes (3,), 1 sigma.
+    """Return the solved equations, for values `y` (n,) of stated `variance` (n,) and sizes (3,), 1 sigma.
 
-    A size of units that is infinite takes the units as fixed: then only differences within units count.
+    An infinite size of units makes the units fixed effects: then only differences within units count.
     """
     w = 1.0 / (variance + sizes[EXCESS] ** 2)
     W = np.bincount(crossing.unit, w, crossing.units).astype(np.float64)
@@ -253,7 +253,7 @@ class Crossed:
     def bench(self) -> tuple[Floats, Floats]:
         """Effects of benches (B,) about the mean of their connected set, and their covariance (B, B).
 
-        The covariance has in it that the sizes are estimates.
+        The covariance includes the uncertainty of the estimated sizes.
         """
         crossing = self.at.crossing
         about = about_sets(crossing)
@@ -271,7 +271,7 @@ class Crossed:
         return about @ self.at.bench, about @ own @ about.T
 
     def unit(self) -> tuple[Floats, Floats]:
-        """Return predicted effects of units (U,), and each over the size that chance gives it (normal scores)."""
+        """Return predicted effects of units (U,), and the same over their standard deviations."""
         effect, spread = self.at.unit(self.y)
         return effect, effect / np.sqrt(np.where(spread > 0, spread, np.inf))
 
@@ -284,10 +284,10 @@ def fit(
     without: int | None = None,
     units_fixed: bool = False,
 ) -> Crossed:
-    """Return the sizes of greatest restricted likelihood for values (n,) with stated variances (n,).
+    """Return the sizes that maximise the restricted likelihood for values (n,) with stated variances (n,).
 
-    `without` one of them leaves it at nothing; with `units_fixed` only differences within units count, and the
-    size of units is infinite.
+    `without` is the index of a size held at zero. With `units_fixed` only differences within units count,
+    and the size of units is infinite.
     """
     centre = float(np.median(values))
     y = values - centre
@@ -318,7 +318,7 @@ def fit(
 
 
 def most(found: Crossed, which: int) -> float:
-    """Return the size that one of the three is below with 95 %, by the profile of the restricted likelihood."""
+    """Return the upper 95 % limit of one of the three sizes, by the profile of the restricted likelihood."""
     at = found.at
     fixed = np.isinf(found.sizes)
 
@@ -345,7 +345,7 @@ def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
 
 
 def _variance_covariance(at: MixedModelEquations, y: Floats) -> Floats:
-    """Return the covariance (3, 3) of the variances; nothing for those that are zero, or infinite."""
+    """Return the covariance (3, 3) of the variances; zero for variances that are zero or infinite."""
     free = np.flatnonzero((at.sizes > 0) & np.isfinite(at.sizes))
     covariance = np.zeros((3, 3))
     if len(free):

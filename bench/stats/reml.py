@@ -21,22 +21,22 @@ from bench.base.arrays import Floats, Ints, Mask
 
 ROUNDS: Final = 40
 AT_REST: Final = 3e-3
-"""Sizes are known to some per cent at best: no parameter moves by more than this part of itself."""
+"""Convergence limit: no parameter moves by more than this part of itself."""
 MOST_CHANGE: Final = 4.0
 LEAST: Final = 1e-6
-"""Least variance of a component, as a part of its scale: there it is as good as none."""
+"""Least variance of a component, as a part of its scale: there it counts as zero."""
 
 
 @dataclass(frozen=True)
 class ComponentColumns:
-    """Components side by side: `whole` (N, q), few entries in a column; `starts` (k,) says where each begins."""
+    """The sparse columns of all components: `whole` (N, q); each component begins at `starts` (k,)."""
 
     whole: sparse.csc_array
     starts: Ints
 
     @classmethod
     def of(cls, Z: Sequence[Floats]) -> ComponentColumns:
-        """Take dense components of (N, q_k)."""
+        """Return the columns of dense components (N, q_k)."""
         widths = [z.shape[1] for z in Z]
         return cls(sparse.csc_array(np.concatenate(list(Z), axis=1)), np.cumsum([0, *widths[:-1]]))
 
@@ -53,7 +53,7 @@ class ComponentColumns:
 
 @dataclass(frozen=True)
 class Mixed:
-    """Data `y` (N,) with fixed effects `X` (N, p), components `Z` of (N, q_k) and a `known` part (N, N)."""
+    """A mixed model: data `y` (N,), fixed effects `X` (N, p), components `Z` (N, q_k), `known` V (N, N)."""
 
     y: Floats
     X: Floats
@@ -71,20 +71,20 @@ class Mixed:
         return np.asarray(self.known + (sized @ sized.T).toarray())
 
     def only(self, kept: Mask) -> Mixed:
-        """Return the same with some of the components, (k,) true."""
+        """Return the model with only those components where `kept` (k,) is true."""
         return Mixed(self.y, self.X, tuple(z for z, k in zip(self.Z, kept, strict=True) if k), self.known)
 
 
 @dataclass(frozen=True)
 class Projection:
-    """P (N, N) at some variances, with P y (N,)."""
+    """The projection P (N, N) at given variances, with P y (N,)."""
 
     P: Floats
     Py: Floats
 
     @classmethod
     def at(cls, mixed: Mixed, theta: Floats) -> Projection:
-        """Return that for variances (k,). Raises `numpy.linalg.LinAlgError` where V is singular."""
+        """Return the projection for variances (k,). Raises `numpy.linalg.LinAlgError` where V is singular."""
         lower = linalg.cholesky(mixed.covariance(theta), lower=True, check_finite=False)
         half, _ = linalg.lapack.dpotri(lower, lower=1)
         inverse = np.tril(half) + np.tril(half, -1).T
@@ -127,7 +127,7 @@ def scoring_step(
     ridge: float,
     most_change: float = MOST_CHANGE,
 ) -> Floats:
-    """Return variances (k,) one step of scoring further, in relative steps, none below `least`.
+    """Return variances (k,) after one more scoring step, in relative steps, none below `least`.
 
     The information (k, k) is widened by a part `damping` of its diagonal and `ridge` of its trace. No variance
     changes by more than a factor of `most_change`; one at `least` stays there where the likelihood falls.
@@ -145,7 +145,7 @@ def scoring_step(
 def maximise(
     mixed: Mixed, start: Floats, scale: Floats, believed: Floats | None = None
 ) -> tuple[Floats, Projection]:
-    """Return the variances (k,) of greatest restricted likelihood, none negative, and P there.
+    """Return the non-negative variances (k,) that maximise the restricted likelihood, and P there.
 
     `start` (k,) where to begin, `scale` (k,) sizes below a millionth of which count as nothing, `believed` (k,) the
     least that is believed of each.
@@ -167,7 +167,7 @@ def maximise(
 
 @dataclass(frozen=True)
 class ComponentsAsked:
-    """What is asked for of components that are not yet in, (k,) each.
+    """Tests of components that the model does not yet include, (k,) each.
 
     `chance` is the probability of such a score where there is none; `expected` the mean of the variance that the
     readings leave open, all sizes alike likely before, normal about one step of the likelihood, never negative.
@@ -178,7 +178,7 @@ class ComponentsAsked:
 
 
 def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> ComponentsAsked:
-    """Return what is asked for of the components after the first `inside`.
+    """Return the tests of the components after the first `inside`.
 
     The first `inside` components are those whose variances are being estimated: what they take is taken off the
     score and the information, for their estimates come from the repeats alone and are not those of the greatest
@@ -214,21 +214,21 @@ def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> C
 # --- along one size -----------------------------------------------------------------------------------
 
 ONE_SIDED: Final = 0.5 * 1.6449**2
-"""What the logarithm of the likelihood loses at a limit that is kept with 95 %."""
+"""Loss of log likelihood at a one-sided 95 % limit."""
 GONE: Final = 8.0
-"""Sizes that lose more are not reckoned with."""
+"""Loss of log likelihood beyond which sizes are neglected."""
 NODES: Final = 24
 MOST_TIMES: Final = 1e3
 LIMIT_AT_REST: Final = 0.01
-"""A limit is known to this part of itself."""
+"""Relative accuracy to which a limit is found."""
 
 
 @dataclass(frozen=True)
 class Profile:
-    """A restricted likelihood along one size, 1 sigma; the other variances follow as the information foretells.
+    """A restricted likelihood along one size, 1 sigma; the other variances follow by the information.
 
-    That is exact near the greatest likelihood, which is at `variances` (k,). `follow` (k,) is by how much each
-    variance changes with that of the size, `which`; `scale` is a size to begin with.
+    That is exact near the greatest likelihood, which is at `variances` (k,). `follow` (k,) is the change of
+    each variance with the variance of size `which`; `scale` is a start value.
     """
 
     likelihood: Callable[[Floats], float]
@@ -248,12 +248,12 @@ class Profile:
         return float(np.sqrt(self.variances[self.which]))
 
     def lost(self, size: float) -> float:
-        """Return what the logarithm of the likelihood loses at a size."""
+        """Return the loss of log likelihood at a size."""
         moved = self.variances + self.follow * (size**2 - self.variances[self.which])
         return self.greatest - self.likelihood(np.maximum(moved, 0.0))
 
     def beyond(self, loss: float) -> float:
-        """Return some size at which so much or more is lost; infinite where there is none to speak of."""
+        """Return a size at which at least `loss` is lost; infinite where there is no such size."""
         end = max(1.2 * self.middle, 0.2 * self.scale)
         while self.lost(end) < loss:
             end *= 1.5
@@ -262,7 +262,7 @@ class Profile:
         return end
 
     def most(self) -> float:
-        """Return what the size is below with 95 %, to a part of `LIMIT_AT_REST`."""
+        """Return the upper 95 % limit of the size, to the relative accuracy `LIMIT_AT_REST`."""
         end = self.beyond(ONE_SIDED)
         if not np.isfinite(end):
             return end

@@ -2,7 +2,7 @@
 
 Deviations of repeats from the mean of their group have a covariance R = diag(v_x, v_y, v_z) + v_phi d d^T each
 group. Fisher scoring: information 1/2 tr(R^-1 R_k R^-1 R_l), score 1/2 tr(R^-1 R_k R^-1 (S - f R)), with R^-1 in
-closed form (Sherman and Morrison). Whether the channels have one size is asked by the score where they have.
+closed form (Sherman and Morrison). A score test, at equal sizes, decides if the channels have one size.
 Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil. Soc.
 44 (1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for priors of sizes that go to zero.
 """
@@ -34,13 +34,13 @@ LEAST_CHANNEL: Final = 1e-6
 """Least variance of a channel as a part of the mean of the three: below it the sums cancel."""
 ROUNDS: Final = 60
 EQUAL_P: Final = 0.2
-"""Channels are of one size where a test of equality gives this or more: a wrong size would be in every u."""
+"""Least p-value with which channels count as of one size: a wrong size would enter every u."""
 
 DIGITS: Final = 4.0
-"""A variance that is no more times that of the last digit tells of digits, not of channels."""
+"""A variance below this multiple of that of the last digit shows rounding, not the channel."""
 
 AT_REST: Final = 1e-4
-"""No parameter moves by more than this part of itself."""
+"""Convergence limit: no parameter moves by more than this part of itself."""
 MOST_CHANGE: Final = 4.0
 """A step changes no parameter by more than this factor."""
 
@@ -89,7 +89,7 @@ def sizes_of(
 
 @dataclass(frozen=True)
 class Sizes:
-    """Variances (runs, 4) of x, y, z and the setting, as they are believed; degrees of freedom (runs, 3).
+    """The accepted variances (runs, 4) of x, y, z and the setting, with degrees of freedom (runs, 3).
 
     `p_equal` (runs,) is the probability of such a difference between the channels where all are of one size:
     a run has one size for all three where it is not below `EQUAL_P`.
@@ -101,7 +101,7 @@ class Sizes:
 
     @property
     def alike(self) -> Mask:
-        """Which runs have one size for all three channels, shape (runs,)."""
+        """Mask of the runs that have one size for all three channels, shape (runs,)."""
         return np.asarray(self.p_equal >= EQUAL_P)
 
 

@@ -1,7 +1,7 @@
 """Values of units measured over years on several benches: scatter, benches, rates and random walks of units.
 
 value = level of the unit + bench effect + rate of the unit x time + random walk + scatter + error of stated u, all
-normal and independent. Only contrasts within units count. Sizes are of greatest restricted likelihood.
+normal and independent. Only contrasts within units count. Sizes maximise the restricted likelihood.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from bench.stats.reml import ONE_SIDED, Profile, profile_of
 BENCH, SCATTER, RATE, WALK = 0, 1, 2, 3
 STEADY: Final = (BENCH, SCATTER)
 SHOWN_P: Final = 0.05
-"""A drift of units is taken out where chance gives so much likelihood less often than this."""
+"""Significance level below which a drift of units is removed."""
 LONGEST: Final = (128, 64, 32, 16)
-"""Of a unit with more runs so many, evenly over its history, are taken: the first that is not too much work."""
+"""Choices for the largest number of runs used of a unit, evenly spaced: the first within `MOST_WORK`."""
 MOST_WORK: Final = 5e7
-"""The cubes of runs, over all units: a likelihood then takes about a tenth of a second."""
+"""Largest sum of the cubes of runs over all units: a likelihood then takes about a tenth of a second."""
 LEAST_PART: Final = 1e-6
-"""A variance below this part of its scale is as good as none."""
+"""A variance below this part of its scale counts as zero."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Histories:
 
     @property
     def dof(self) -> int:
-        """Contrasts in all."""
+        """Total number of contrasts."""
         return sum(len(one.rows) * len(one.contrast) for one in self.alike)
 
 
@@ -106,7 +106,7 @@ Weighed = tuple[SameLength, Floats, Floats, Floats]
 
 @dataclass(frozen=True)
 class Within:
-    """One coefficient: values `y` (n,) with stated variances (n,)."""
+    """The data of one coefficient within units: values `y` (n,) with stated variances (n,)."""
 
     of: Histories
     y: Floats
@@ -231,7 +231,7 @@ def _curved(kept: Sequence[Weighed], G: Floats, h: Floats, X: Floats) -> tuple[F
 
 @dataclass(frozen=True)
 class CalibrationSpread:
-    """What a laboratory's calibrations scatter by when units' own drift is taken out, 1 sigma each.
+    """Scatter of a laboratory's calibrations without the units' own drift, 1 sigma each.
 
     `scatter` beyond the stated u: the root of the mean square over the sizes that the likelihood leaves, so that
     few calibrations make it larger; between `scatter_least` and `scatter_most` with 90 %.
@@ -255,7 +255,7 @@ class CalibrationSpread:
 
 
 def spread_of(within: Within, *, several: bool, drifts: bool = True) -> CalibrationSpread:
-    """Return scatter and benches (where there are `several`) apart from what units drift by.
+    """Return scatter and benches (where there are `several`), separated from the drift of units.
 
     A rate or a walk that is not shown is not taken out: what may be either counts as scatter; all of it, where
     units have too few runs to tell what `drifts`.

@@ -1,4 +1,4 @@
-"""What is true of each instrument, with its source: dialect, limits, accuracy.
+"""Facts of each instrument with their source: dialect, limits, accuracy.
 
 Driver, simulation and bench file share it.
 """

@@ -11,7 +11,7 @@ from typing import Final
 MAKERS: Final = r"HEWLETT-PACKARD|HP|Agilent( Technologies)?|Keysight( Technologies)?"
 MODELS: Final = ("34401A",)
 IDENTITY: Final = "HEWLETT-PACKARD,34401A,0,11-5-2"
-"""What one answers to *IDN?."""
+"""The pattern of the reply to *IDN?."""
 
 INTERFACES: Final = ("lan", "gpib", "rs232")
 READ_TERMINATION: Final = "\n"
@@ -27,7 +27,7 @@ READING_EXAMPLE: Final = "+1.23456780E+00"
 READING_CHARACTERS: Final = 16
 """The 15 of a reading and its separator."""
 OVERLOAD_V: Final = 9.9e37
-"""What a reading outside the range is answered with."""
+"""The reply for a reading outside the range."""
 ERRORS_KEPT: Final = 20
 SELF_TEST_S: Final = 30.0
 """The longest self-test of the line takes some 15 s."""
@@ -44,13 +44,13 @@ UNDER_RANGE: Final = 0.1
 NPLC_BY_RESOLUTION: Final = {3e-7: 100.0, 1e-6: 10.0, 3e-6: 1.0, 1e-5: 0.2, 1e-4: 0.02}
 """Integration in power-line cycles for each resolution, a fraction of the range."""
 RESOLUTION: Final = {nplc: part for part, nplc in NPLC_BY_RESOLUTION.items()}
-"""The same the other way round: from an integration on, the resolution."""
+"""The inverse table: the resolution for each integration."""
 NPLC: Final = tuple(sorted(RESOLUTION))
 MEMORY_READINGS: Final = 512
 LEAST_SAMPLES: Final = 1
 
 SAMPLE_OVERHEAD_S: Final = 0.01
-"""What the meter needs around a sample beside its two integrations (autozero)."""
+"""Overhead of a sample beside its two integrations (autozero), s."""
 
 ACCURACY_90_DAYS: Final = {
     0.1: (40e-6, 35e-6), 1.0: (30e-6, 7e-6), 10.0: (20e-6, 5e-6), 100.0: (35e-6, 6e-6), 1000.0: (35e-6, 10e-6),
@@ -63,7 +63,7 @@ ACCURACY_1_YEAR: Final = {
 TEMPERATURE_COEFFICIENT: Final = {
     0.1: (5e-6, 5e-6), 1.0: (5e-6, 1e-6), 10.0: (5e-6, 1e-6), 100.0: (5e-6, 1e-6), 1000.0: (5e-6, 1e-6),
 }  # fmt: skip
-"""What each °C outside of that adds to the limits, alike."""
+"""Increase of the limits for each °C outside 23 ± 5 °C, in the same units."""
 REFERENCE_C: Final = 23.0
 REFERENCE_WIDTH_C: Final = 5.0
 LINEARITY: Final = (2e-6, 1e-6)

@@ -35,14 +35,14 @@ READING_EXAMPLE: Final = "+1.23456789E-03"
 READING_CHARACTERS: Final = 16
 """The 15 of a reading and its separator."""
 OVERLOAD_V: Final = 9.9e37
-"""What a reading outside the range is answered with."""
+"""The reply for a reading outside the range."""
 ERRORS_KEPT: Final = 10
 
 # --- what it measures -------------------------------------------------------------------------------
 
 RANGES_V: Final = (0.1, 1.0, 10.0, 100.0, 1000.0)
 HIGHEST_V: Final = 1010.0
-"""The most that may be stated as the signal to be read."""
+"""The largest expected signal that may be stated."""
 OVER_RANGE: Final = 1.2
 """It reads up to 120 % of its range, but of the highest."""
 UNDER_RANGE: Final = 0.1
@@ -71,7 +71,7 @@ has the same converter."""
 TEMPERATURE_COEFFICIENT: Final = {
     0.1: (2e-6, 6e-6), 1.0: (2e-6, 1e-6), 10.0: (2e-6, 1e-6), 100.0: (5e-6, 1e-6), 1000.0: (5e-6, 1e-6),
 }  # fmt: skip
-"""What each °C outside of that adds to the limits, alike; from the same table."""
+"""Increase of the limits for each °C outside 23 ± 5 °C, in the same units; from the same table."""
 REFERENCE_C: Final = 23.0
 REFERENCE_WIDTH_C: Final = 5.0
 LINEARITY: Final = (2e-6, 1e-6)

@@ -40,7 +40,7 @@ MEMORY_READINGS: Final = 50_000
 LEAST_SAMPLES: Final = line.LEAST_SAMPLES
 
 SAMPLE_OVERHEAD_S: Final = 0.03
-"""Closing a relay and what the meter needs around a sample; a card scans 60 channels/s at best."""
+"""Overhead of a sample: closing of a relay and time of the meter; a card scans at most 60 channels/s."""
 
 _SHARED: Final = RANGES_V[:-1]
 ACCURACY_90_DAYS: Final = {r: line.ACCURACY_90_DAYS[r] for r in _SHARED} | {300.0: (35e-6, 20e-6)}
@@ -63,7 +63,7 @@ LONGEST_CHANNEL_DELAY_S: Final = 60.0
 CHANNEL_DELAY_STEP_S: Final = 1e-3
 """From the closing of a relay to its sample."""
 CHANNEL_DELAY_S: Final = 0.1
-"""What the bench waits unless it is told otherwise."""
+"""The default channel delay of the bench."""
 
 
 # --- temperature sensors ----------------------------------------------------------------------------

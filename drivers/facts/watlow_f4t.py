@@ -16,7 +16,7 @@ READ_TERMINATION: Final = "\n"
 WRITE_TERMINATION: Final = "\n"
 
 BUSY_S: Final = 1.0
-"""What it wants after a command without reply."""
+"""Pause that the controller needs after a command without reply."""
 RESOLUTION_C: Final = 0.1
 MOST_LOOPS: Final = 4
 MOST_OUTPUTS: Final = 99

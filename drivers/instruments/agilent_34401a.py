@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SingleChannelDialect:
-    """Where the meters of the 34401A's line differ: two headers, and how much the memory holds."""
+    """Differences between meters of the 34401A's line: two headers, and the size of the memory."""
 
     autozero: str
     high_impedance: str
@@ -56,7 +56,7 @@ class Agilent34401A(ScpiVoltmeter):
 
     @property
     def limits(self) -> VoltmeterLimits:
-        """What the model can do; before `open` that of the model that this driver is named after."""
+        """The limits of the model; before `open` of the model that this driver is named after."""
         return self._dialect.limits
 
     def _accept(self, identity: Identity, reply: str) -> None:

@@ -47,7 +47,7 @@ class Keithley2000(ScpiVoltmeter):
 
     @property
     def limits(self) -> VoltmeterLimits:
-        """What the model can do."""
+        """The limits of the model."""
         return VoltmeterLimits.of(facts)
 
     def _setup(self, settings: VoltmeterSettings) -> list[ProvenSetting]:

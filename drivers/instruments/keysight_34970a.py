@@ -70,7 +70,7 @@ class Keysight34970A(ScpiVoltmeter):
 
     @property
     def limits(self) -> VoltmeterLimits:
-        """What the meter can do with these channels: its memory holds 50,000 readings of all of them."""
+        """The limits of the meter with these channels: its memory holds 50,000 readings of all of them."""
         return self._limits
 
     def open(self) -> Identity:
@@ -197,7 +197,7 @@ class _Probe(ScpiVoltmeter):
         return identity
 
     def anew(self) -> None:
-        """Forget what was set: the channel is set again before it is read."""
+        """Set the channel up again before its next reading."""
         self._connection = None
 
     def _setup(self, settings: VoltmeterSettings) -> list[ProvenSetting]:

@@ -44,7 +44,7 @@ _TROUBLES: Final = {
     "NC": ("is being turned by its knob", "let nobody turn the knob during a run"),
     "NI": ("was interrupted by another command", "let nobody else control the head during a run"),
 }
-"""What a warning flag means, and what to do."""
+"""Meaning and remedy of each warning flag."""
 
 _REJECTIONS: Final = {
     "BADCOMMAND": "the controller does not know the command",
@@ -186,7 +186,7 @@ class ZaberHead(MotorisedHead):
         self._identity = Identity(facts.MAKER, device_id, serial, version)
 
     def _if_known(self, text: str) -> str:
-        """Ask what older firmware does not know; return nothing then."""
+        """Return the reply to a query that older firmware may not know; empty where it does not."""
         try:
             return self._ask(text, _WORD, axis=0).data
         except InstrumentRefused:

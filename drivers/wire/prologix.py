@@ -28,7 +28,7 @@ from drivers.wire.pyvisa_connection import Connection, SerialSettings, WireError
 SCHEME: Final = "prologix:"
 
 READ_TIMEOUT_MS: Final = 1000
-"""How long the adapter waits within one read; the bus is free for others between two reads."""
+"""Timeout of the adapter within one read; the bus is free for others between two reads."""
 
 _RESOURCE: Final = re.compile(
     r"prologix://(?:(?P<device>/\S+|COM\d+)|(?P<host>[^\s/:]+)(?::(?P<port>\d{1,5}))?)"
@@ -147,7 +147,7 @@ class _Adapter:
         self._clock: Clock = SystemClock()
 
     def leave(self) -> None:
-        """One instrument fewer; the last one lets the link go."""
+        """Release the adapter for one instrument; the last one closes the link."""
         with _adapters_lock:
             self.users -= 1
             if self.users == 0:
@@ -165,7 +165,7 @@ class _Adapter:
             return self._link_number
 
     def has_link(self, link_number: int) -> bool:
-        """Whether the link of that number is the present one."""
+        """Return whether the link of that number is the present one."""
         return self._link is not None and self._link_number == link_number
 
     @contextlib.contextmanager

@@ -115,7 +115,7 @@ _UNKNOWN_HOST: Final = (
 
 
 class WireError(Exception):
-    """What went wrong on a wire of our own making: cause and remedy are known where it is raised."""
+    """An error of a wire implemented here; it is raised with its cause and remedy."""
 
     def __init__(self, cause: str, remedy: str) -> None:
         super().__init__(f"{cause}; {remedy}")
@@ -179,7 +179,7 @@ _FLOW: Final = {
 
 @dataclass(frozen=True, slots=True)
 class SerialSettings:
-    """How a serial port speaks; the defaults are a 34401A set to 9600 baud, no parity.
+    """Settings of a serial port; the defaults are a 34401A set to 9600 baud, no parity.
 
     `flow` "dtr_dsr" leaves DTR asserted, as the meter wants it; the pacing itself is the port's business.
     `device_clear` is sent to a port after a lost reply, to stop the instrument from sending it still.
@@ -411,7 +411,7 @@ def _interface(visa: MessageBasedResource) -> Any:
 
 
 def _has_fileno(interface: Any) -> bool:
-    """Tell whether `select` can wait on it: not on GPIB, USB, VXI-11, nor on a serial port of Windows."""
+    """Return whether `select` can wait on it: not on GPIB, USB, VXI-11, nor on a serial port of Windows."""
     if not isinstance(interface, (io.IOBase, socket.socket)):
         return False
     try:

@@ -1,1 +1,1 @@
-"""How messages reach simulated instruments: TCP, pseudo-terminals, a GPIB bus, and what goes wrong there."""
+"""Wires of simulated instruments: TCP, pseudo-terminals, a GPIB bus, and faults on them."""

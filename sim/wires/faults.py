@@ -1,4 +1,4 @@
-"""Faults on demand: what goes wrong with a simulated instrument and its wire, when, and how often.
+"""Faults on demand of a simulated instrument and its wire: their kind, time and frequency.
 
 A fault is data, as a bench file or the control states it: `{fault: cut, probability: 0.01}`,
 `{fault: drop, at: 17}`, `{fault: late, matching: "READ?", seconds: 2, instrument: voltmeter.x}`.
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class FaultKind(StrEnum):
-    """What goes wrong. The last five are of the instrument, the others of its wire."""
+    """Kinds of faults. The last five are of the instrument, the others of its wire."""
 
     DROP = "drop"
     """The command is carried out; the connection is closed in place of the reply."""
@@ -71,7 +71,7 @@ class HasLocalKey(Protocol):
     """An instrument with a LOCAL key on its front panel."""
 
     def press_local(self) -> None:
-        """Press it."""
+        """Press the LOCAL key."""
 
 
 @runtime_checkable
@@ -79,7 +79,7 @@ class HasErrorQueue(Protocol):
     """An instrument with an error queue."""
 
     def report(self, number: int) -> None:
-        """Put an error into it."""
+        """Put an error into the queue."""
 
 
 @runtime_checkable
@@ -95,7 +95,7 @@ class HasCycle(Protocol):
 
     @property
     def cycle(self) -> MeasuringCycle:
-        """What it measures in."""
+        """The measuring cycle of the instrument."""
 
 
 _NEEDS: Final[dict[FaultKind, tuple[type, str]]] = {
@@ -172,7 +172,7 @@ class Fault:
         )
 
     def told(self) -> dict[str, object]:
-        """Return it as the data that `parse` takes."""
+        """Return the fault as the data that `parse` accepts."""
         fields: dict[str, object] = {
             "probability": self.probability,
             "at": self.at,

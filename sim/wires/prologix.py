@@ -46,7 +46,7 @@ _RANGES: Final = {
     "read_tmo_ms": (1, 3000),
     "savecfg": (0, 1),
 }
-"""What each setting may be. As the end of a message the wire carries nothing but LF here."""
+"""Allowed values of each setting. As the end of a message the wire carries nothing but LF here."""
 
 
 @dataclass
@@ -81,15 +81,15 @@ class LookaheadClock(VirtualClock):
         return max(self._bench.now_s(), self._ahead_s)
 
     def sleep(self, duration_s: float) -> None:
-        """Be ahead by `duration_s` more."""
+        """Advance this clock by `duration_s` ahead of the bench."""
         self.advance_to(self.now_s() + max(0.0, duration_s))
 
     def advance_to(self, time_s: float) -> None:
-        """Be ahead until `time_s`."""
+        """Advance this clock ahead of the bench to `time_s`."""
         self._ahead_s = max(self._ahead_s, time_s)
 
     def return_to_present(self) -> None:
-        """Give up what is ahead: the instrument was cleared."""
+        """Return to the bench's time, because the instrument was cleared."""
         self._ahead_s = -math.inf
 
 

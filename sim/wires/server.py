@@ -121,7 +121,7 @@ class TcpServer(InstrumentServer):
 
     @property
     def fault(self) -> FaultHook | None:
-        """What the instrument's wires do to exchanges, on this port and on all its others."""
+        """The fault hook of the instrument, for this port and all its other wires."""
         return self.instrument.fault
 
     @fault.setter

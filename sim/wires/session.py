@@ -1,4 +1,4 @@
-"""How bytes become messages and replies become bytes, and who is busy meanwhile."""
+"""Sessions on wires: bytes to messages, replies to bytes, and the track of busy sessions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SETTLE_LOOK_S: Final = 0.001
 
 
 class Doing(Enum):
-    """What a session does at the moment, as `Traffic` sees it."""
+    """The present activity of a session, for `Traffic`."""
 
     LISTENING = "waiting for input"
     WORKING = "carrying out a message"
@@ -38,7 +38,7 @@ class Busy(Protocol):
 
 
 class Traffic:
-    """Knows what all the sessions of a bench do, so that time moves only when none has work left.
+    """The activities of all sessions of a bench: time moves only when none has work left.
 
     Without it, a virtual clock could jump past a measurement whose start is still on another wire.
     """
@@ -76,7 +76,7 @@ class Traffic:
             self._changed.notify_all()
 
     def mark(self, session: Busy, doing: Doing) -> None:
-        """Say what a session does from now on."""
+        """Set the activity of a session from now on."""
         session.doing = doing
         if doing is not Doing.WORKING:
             with self._changed:
@@ -165,11 +165,11 @@ class HasLineEnds(Protocol):
 
     @property
     def line_ends(self) -> LineEnds:
-        """How they end."""
+        """The line ends of the dialect."""
 
 
 def line_ends_of(dialect: Dialect) -> LineEnds:
-    """Return what a dialect says of its lines, else that messages end in LF and replies as the wire has it."""
+    """Return the line ends of a dialect; by default LF for messages, and those of the wire for replies."""
     return dialect.line_ends if isinstance(dialect, HasLineEnds) else LineEnds()
 
 
@@ -199,7 +199,7 @@ class Transport(Protocol):
 
 @dataclass(frozen=True)
 class WireFault:
-    """What a broken wire does to one exchange: what is sent in place of the reply, and what then happens.
+    """The effect of a broken wire on one exchange: the bytes in place of the reply, and the consequences.
 
     After `delay_s` of real time `raw` goes out as it is, then each of `lines` with the terminator of the wire.
     `drop` closes the connection after that; `refuse` also refuses new ones, for `refuse_s` of real time or,
@@ -240,7 +240,7 @@ One call at a time for one instrument, in the order in which its messages were c
 
 
 class Overflow:
-    """What a framer yields in place of a message that was too long."""
+    """A marker in place of a message that was too long."""
 
 
 class Framer:

@@ -21,7 +21,7 @@ def keyed_generator(seed: int, *key: object) -> np.random.Generator:
 
 
 class KeyedNumbers:
-    """The numbers of a seed, by purpose and step; `told_scan` is the order of channels that the step told."""
+    """The numbers of a seed, by purpose and step; `told_scan` is the order of channels stated by the step."""
 
     def __init__(self, seed: int, lock: threading.RLock) -> None:
         self._seed = seed

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
 
 SLICE_S = 0.05
-"""How often a wait on a real clock looks whether it was interrupted, s of real time."""
+"""Interval at which a wait on a real clock checks for an interruption, s of real time."""
 
 
 class VirtualClock:

@@ -42,13 +42,13 @@ def work_supply(world: World, action: SetSupply | SwitchSupply | ReadSupply) -> 
 
 
 LOOK_S: Final = 10.0
-"""So often `meanwhile` is called while the person is at a task."""
+"""Interval of calls of `meanwhile` while the person is at a task."""
 _SLIPS_ARCSEC: Final = (3600.0, -3600.0, 600.0, -600.0, 60.0, -60.0)
 
 
 @dataclass(frozen=True)
 class OperatorSettings:
-    """How the person works.
+    """Settings of the simulated person: accuracy, times and slips.
 
     The head is set to the target within a normal `setting_deviation_rad`, to a whole step of the scale,
     `resolution_rad`. A turn takes a uniform time within `turn_time_s`, a mounting `mount_time_s`, any other

@@ -1,4 +1,4 @@
-"""What follows from a budget: any measured acceleration, the check at the verification points, Monte Carlo."""
+"""Consequences of a budget: any measured acceleration, the check at the verification points, Monte Carlo."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def measured(
 ) -> MeasuredAcceleration:
     """Return the uncertainty of accelerations `force` (d, 3), g, each from one reading.
 
-    Without `reading` the errors of the coefficients stand alone. With `same_voltmeters` the block is read with
+    Without `reading` only the errors of the coefficients count. With `same_voltmeters` the block is read with
     those of the calibration, whose gain and offset cancel; else with others of the same accuracy. Temperature
     is that of the calibration. Raises `CalibrationError` for an acceleration of zero.
     """
@@ -139,7 +139,7 @@ def _of_reading(
 
 
 def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
-    """An effect of the block acts in use as in the calibration, at reference time and temperature."""
+    """Return an effect of the block in use: it acts as in calibration, at reference time and temperature."""
     unknown, setup = source.effect, budget.setup
     none = np.zeros((1, 3, 1))
     if unknown is None:
@@ -171,7 +171,7 @@ def directions(count: int = DIRECTIONS) -> Floats:
 
 
 def magnitudes(range_g: float) -> tuple[float, ...]:
-    """Return the magnitudes to state up to a measuring range, g, the range among them."""
+    """Return the magnitudes, g, to report up to a measuring range, which is included."""
     return (*(m for m in MAGNITUDES_G if m < range_g), range_g)
 
 
@@ -227,8 +227,8 @@ class DeltaG(ResultModel):
 def delta_g_variances(budget: Budget, *, reading: bool = True) -> Floats:
     """Return the variances (v, sources) of delta g at the v verification points of the setup, local g².
 
-    Gain and gravity act on calibration and check alike and cancel; without `reading` the errors of the
-    coefficients stand alone.
+    Gain and gravity act on calibration and check alike and cancel; without `reading` only the errors
+    of the coefficients count.
     """
     setup = budget.setup
     rows = np.flatnonzero(setup.verification)
@@ -248,9 +248,9 @@ def delta_g(
     reading: bool = True,
     population: Population | None = None,
 ) -> tuple[DeltaG, ...]:
-    """Return the uncertainty of delta g at each verification point of the setup, and the decision that it allows.
+    """Return the uncertainty of delta g at each verification point of the setup, and the possible decision.
 
-    See `delta_g_variances`. Raises `CalibrationError` for an unknown rule.
+    For `reading` see `delta_g_variances`. Raises `CalibrationError` for an unknown rule.
     """
     setup, decision = budget.setup, DecisionRule.of(rule)
     rows = np.flatnonzero(setup.verification)
@@ -278,14 +278,14 @@ def delta_g(
 
 
 def _within(limit: float, u: float) -> float:
-    """Probability that a normal error stays within a limit."""
+    """Return the probability that a normal error stays within a limit."""
     if limit <= 0.0:
         return 0.0
     return float(special.erf(limit / (u * np.sqrt(2.0)))) if u > 0.0 else 1.0
 
 
 BATCH: Final = 200
-"""Trials at once: few enough for the processor's cache, and for products in one thread."""
+"""Number of trials in one batch: few enough for the processor's cache, and for products in one thread."""
 DIGITS: Final = 1
 """Significant digits of u that count as meaningful: error sizes are known no better."""
 
@@ -294,7 +294,7 @@ DIGITS: Final = 1
 class ExactResult:
     """Monte Carlo and linear result of 12 coefficients, then delta g at each verification point.
 
-    `names` (m,) tells them; `verdict` is that of JCGM 101:2008, clause 8.
+    `names` (m,) names the outputs; `verdict` is that of JCGM 101:2008, clause 8.
     """
 
     names: tuple[str, ...]
@@ -325,7 +325,7 @@ def exact_readings(budget: Budget, trials: int, rng: np.random.Generator) -> Flo
 
 
 def _linear(budget: Budget) -> Propagated:
-    """Coefficients and delta g as the linear budget has them; covariances between the two are left out."""
+    """Return coefficients and delta g by the linear budget, without covariances between the two."""
     total, variances = budget.combined, delta_g_variances(budget)
     count = len(variances)
     covariance = np.diag(np.concatenate([np.zeros(12), variances.sum(axis=1)]))
@@ -364,7 +364,7 @@ class _Simulation:
         return np.concatenate([coefficients, np.linalg.norm(force, axis=1) - 1.0], axis=1)
 
     def _estimate(self, excess: Floats, gain: Floats) -> Floats:
-        """Apply the estimator to readings less those of a stand without errors, which it returns exactly."""
+        """Return the estimates from the differences to error-free readings, whose estimates are exact."""
         flat = excess.reshape(len(excess), -1) @ gain.reshape(len(gain), -1).T
         return self._setup.block.vector + flat
 
@@ -409,7 +409,7 @@ NAMED: Final = 0.01
 
 @dataclass(frozen=True)
 class Question:
-    """The question to a budget: measuring range and limit of delta g (g), decision rule, trials, voltmeters.
+    """Options of an assessment: measuring range and limit of delta g (g), decision rule, trials, voltmeters.
 
     `population` is the distribution of delta g over many blocks.
     """
@@ -488,7 +488,7 @@ def assess(
     question: Question,
     known: KnownStand | None = None,
 ) -> Assessment:
-    """Return the budget of an estimator with what follows from it; `known` is what was learned.
+    """Return the budget of an estimator with its consequences; `known` is the learned knowledge of the stand.
 
     Raises `CalibrationError` as its parts do.
     """

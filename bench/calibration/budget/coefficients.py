@@ -194,9 +194,9 @@ def estimator_map(
     """Return an estimator's linear map (12, n, 3) from readings to coefficients; zero at verification points.
 
     `stated` are the standard uncertainties of the stand errors by name (rad, V), by which generalised least squares
-    weighs the readings; `known` is what was learned in their place. An iterating estimator has the map of its last
-    step on readings without outliers. Raises `CalibrationError` for an unknown estimator, and for readings that do
-    not determine the coefficients or that the closed form does not know.
+    weighs the readings; `known` is learned knowledge that replaces them. An iterating estimator has the map
+    of its last step on readings without outliers. Raises `CalibrationError` for an unknown estimator, and
+    for readings that do not determine the coefficients or that the closed form does not know.
     """
     by = in_a_budget(estimator)
     require_rank(setup.force[setup.fitted])
@@ -216,7 +216,7 @@ def estimator_map(
 def _task(
     problem: Problem, setup: Setup, stated: Mapping[str, float], known: KnownStand | None
 ) -> WeightingTask:
-    """Return the fit to noise-free readings: its first step has the map of the last step with real ones."""
+    """Return the fit to noise-free readings, whose first step has the map of the last step on real ones."""
     signal = setup.signal[setup.fitted]
     floor = gls.LEAST_NOISE * float(np.max(np.abs(signal)))
     reading, setting = max(stated.get("voltmeter_error", 0.0), floor), stated.get("setting_error", 0.0)
@@ -229,7 +229,7 @@ def _task(
 
 @dataclass(frozen=True)
 class Influence:
-    """How one unit of an error changes the signals of n readings.
+    """The influence of one unit of an error on the signals of n readings.
 
     `pattern` (n, 3) is in V per unit of the error. Entries with the same number in `group` (n, 3), from 0 to
     `draws` - 1, share one draw.
@@ -262,7 +262,7 @@ class Influence:
 
 
 class AnyReadings(Protocol):
-    """What error patterns need of n readings: a `Setup`, or measured readings."""
+    """Protocol of the n readings that error patterns act on: a `Setup`, or measured readings."""
 
     @property
     def signal(self) -> Floats:
@@ -286,7 +286,7 @@ class AnyReadings(Protocol):
 
     @property
     def block(self) -> Block:
-        """The block that they are of."""
+        """The block of the readings."""
 
     @property
     def meters(self) -> tuple[int, int, int]:
@@ -294,7 +294,7 @@ class AnyReadings(Protocol):
 
 
 _Patterns = Sequence[tuple[Floats, Ints]]
-"""What a unit of a source does to the signals, V (n, 3), and what shares a draw of it, as `Influence.of`."""
+"""Changes of the signals by a unit of a source, V (n, 3), with labels of draws as in `Influence.of`."""
 
 _SAME_ANGLE_RAD: Final = math.radians(0.05)
 """Settings no further apart than this have the error of one angle of the head."""
@@ -305,7 +305,7 @@ _EVERYTHING: Final = np.zeros((1, 1), dtype=np.int64)
 def influences(source: ErrorSource, setup: AnyReadings) -> tuple[Influence, ...]:
     """Return the independent ways in which a unit of the source acts on readings.
 
-    Stand angles and effects act on a `Setup` alone: of measured readings a fit has estimated them.
+    Stand angles and effects act on a `Setup` alone: for measured readings the fit has estimated them.
     """
     if isinstance(setup, Setup) and source.effect is not None:
         column = setup.effect_problem.effects.index(source.effect)
@@ -455,12 +455,12 @@ class Budget:
         return self._sum(self.contributions)
 
     def of_group(self, group: str) -> Propagated:
-        """Return the same for the sources of one group: "stand" is what `bench calibrate` states."""
+        """Return the coefficients with the sources of one group: "stand" is what `bench calibrate` states."""
         return self._sum([c for c in self.contributions if c.source.group == group])
 
     @property
     def per_local_g(self) -> Propagated:
-        """Return the same without local gravity: for coefficients per local g, as `bench calibrate` gives them."""
+        """Return the coefficients per local g, without u of gravity, as `bench calibrate` gives them."""
         return self._sum([c for c in self.contributions if c.source.name != "gravity"])
 
     def _sum(self, contributions: Sequence[Contribution]) -> Propagated:
@@ -488,7 +488,7 @@ def make_budget(
     """Return the budget of an estimator, one of `bench.calibration.estimators` by name.
 
     `stated` are the sizes that the estimator believes (see `estimators.gain`); left out, those of
-    the sources; `known` is what was learned in their place.
+    the sources; `known` is learned knowledge that replaces them.
     Raises `CalibrationError` when the readings do not determine the coefficients.
     """
     gain = estimator_map(estimator, setup, sizes_by_name(sources) if stated is None else stated, known)

@@ -1,4 +1,4 @@
-"""Error sources: size, distribution, what shares a draw; as learned of a bench; the tilting foundation."""
+"""Error sources (size, distribution, shared draws), their learned forms, and the tilting foundation."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _SHOWN: Final[Mapping[str, tuple[str, float]]] = {
 
 @dataclass(frozen=True)
 class ErrorSource:
-    """An error with its distribution in `unit` (SI), what it is common to and its degrees of freedom.
+    """An error source with its distribution in `unit` (SI), the scope of one draw, and degrees of freedom.
 
     `origin` says where the size comes from; a `prior` is a plausible size that nobody stated. `factors` scale the
     error where it acts (temperature coefficients, per K). The parameter of an effect has `effect`, and in
@@ -69,7 +69,7 @@ class ErrorSource:
 
     @property
     def kind(self) -> str:
-        """Its name without the meter or rail: "voltmeter_gain" of "voltmeter_gain[x]"."""
+        """The name without the meter or rail: "voltmeter_gain" of "voltmeter_gain[x]"."""
         return self.name.partition("[")[0]
 
     @property
@@ -87,7 +87,7 @@ class ErrorSource:
 
     @property
     def on_channels(self) -> Floats:
-        """1 for a channel that it is of, 0 for another, shape (3,)."""
+        """1 for a channel that the error acts on, 0 for another, shape (3,)."""
         return np.array([float(channel in self.channels) for channel in CHANNELS])
 
     def acting(self, draws: Floats) -> Floats:
@@ -179,7 +179,7 @@ NAME = "foundation"
 
 @dataclass(frozen=True)
 class TiltRate:
-    """How fast the platform tilts, along the shaft and across it: standard uncertainties, rad/s."""
+    """The rate at which the platform tilts, along the shaft and across it: standard uncertainties, rad/s."""
 
     along_rad_s: float
     across_rad_s: float
@@ -189,14 +189,14 @@ class TiltRate:
 
     @property
     def shown(self) -> str:
-        """Its sizes in words."""
+        """The tilt rates in words."""
         along, across = (rate * DAY / ARCSEC for rate in (self.along_rad_s, self.across_rad_s))
         return (
             f"{along:.2g} and {across:.2g} arcsec a day" if along != across else f"{along:.2g} arcsec a day"
         )
 
     def source(self) -> ErrorSource:
-        """Return it as one of the errors of a bench, of the larger of both sizes."""
+        """Return the tilt rate as an error source of a bench, with the larger of both sizes."""
         size = replace(FOUNDATION, limit=max(self.along_rad_s, self.across_rad_s), shape="normal", k=1.0)
         return ErrorSource(NAME, "α1, α2", "rad/s", size, "run", "stand", self.origin, self.dof, self.prior)
 
@@ -204,9 +204,9 @@ class TiltRate:
         self, conditions: Conditions, block: Block, across: Floats, installations: Mapping[str, Installation],
         functionals: Floats,
     ) -> Floats:  # fmt: skip
-        """Return what each of both tilts, one u large, adds to linear functionals (m, n, 3), shape (m, 2).
+        """Return the changes (m, 2) of linear functionals (m, n, 3) by both tilts, each of size u.
 
-        `across` (n, 3) is how the signals change with an angle about the shaft.
+        `across` (n, 3) is the derivative of the signals by an angle about the shaft.
         """
         tilts = np.stack(tilt_patterns(conditions, block, across, installations))
         return np.asarray(
@@ -217,7 +217,7 @@ class TiltRate:
 def tilt_patterns(
     conditions: Conditions, block: Block, across: Floats, installations: Mapping[str, Installation]
 ) -> tuple[Floats, Floats]:
-    """Return what a platform that tilts along the shaft and across it, 1 rad/s, does to the signals, V (n, 3)."""
+    """Return the changes of the signals, V (n, 3), by a tilt of 1 rad/s along the shaft, and across it."""
     time_s = np.nan_to_num(conditions.elapsed_s)
     begun = np.array([time_s[conditions.mount == m].min() for m in range(len(conditions.mounts))])
     gone_s = (time_s - begun[conditions.mount])[:, None]
@@ -228,9 +228,9 @@ def tilt_patterns(
 
 
 def foundation_of(readings: Readings | None, bench: BenchFile, *, levelled: bool) -> TiltRate | None:
-    """Return how the foundation moves; None where nothing states it and the platform was not `levelled`.
+    """Return the foundation's tilt rate; None where nothing states it and the platform was not `levelled`.
 
-    Levellings in these `readings` count before the bench file.
+    Levellings in these `readings` take precedence over the bench file.
     """
     seen = None if readings is None else drift_rad_s(readings.extra)
     if seen is not None:

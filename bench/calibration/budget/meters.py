@@ -75,7 +75,7 @@ def may_move(quantity: Quantity, meter: VoltmeterForm) -> float:
 
 
 def is_certified(quantity: Quantity, meter: VoltmeterForm) -> bool:
-    """Whether a certificate states a meter's gain or zero on its range."""
+    """Return whether a certificate states a meter's gain or zero on its range."""
     return _certified(quantity, meter) is not None
 
 
@@ -117,12 +117,12 @@ def _age(certificate: Certificate, day: datetime.date | None) -> float:
 
 
 CONTRADICTS_P: Final = 0.01
-"""Learned differences that are this improbable under certificates and makers' limits are not used."""
+"""P-value below which learned differences contradict certificates and makers' limits, and are not used."""
 
 
 @dataclass(frozen=True)
 class LearnedDifferences:
-    """Differences between M meters: `values` (M,) from the mean of each group, with their `covariance` (M, M)."""
+    """Learned differences of M meters from their group's mean: `values` (M,), `covariance` (M, M)."""
 
     values: Floats
     covariance: Floats
@@ -152,11 +152,11 @@ class JointErrors:
 def joint_errors(
     told: LearnedDifferences, at: Sequence[int | None], prior_u: Floats, certified: Mask, kept: float
 ) -> JointErrors | str:
-    """Return the joint errors of n meters given learned differences, or the reason why those are not used.
+    """Return the joint errors of n meters given learned differences, or the reason for not using these.
 
-    `at` has the place of each meter in `told` (None: not there). `prior_u` (n,) is u by certificate or limits,
-    `certified` (n,) says which of them are by a certificate. `kept`, from 0 to 1, is the correlation of a meter's
-    error today with its error when the differences were learned.
+    `at` has the index of each meter in `told` (None: not there). `prior_u` (n,) is u by certificate or
+    limits, `certified` (n,) says which of them come from a certificate. `kept`, from 0 to 1, is the
+    correlation of a meter's error today with its error when the differences were learned.
     """
     n = len(prior_u)
     places = [place if place is not None else -1 for place in at]
@@ -198,7 +198,7 @@ def _contrasts(group: Ints) -> Floats:
 
 
 def _never_over(found: JointErrors, prior: Floats, certified: Mask) -> JointErrors:
-    """Return the errors with certified meters as certified, and the others conditional on them."""
+    """Return joint errors that keep certified meters as certified, with the others conditional on them."""
     if not np.any(certified):
         return found
     a, rest = np.flatnonzero(certified), np.flatnonzero(~certified)
@@ -244,7 +244,7 @@ class KnownMeters:
 def known_meters(
     bench: BenchFile, day: datetime.date, meters: Sequence[str], learned: LearnedMeters
 ) -> tuple[KnownMeters | None, tuple[str, ...]]:
-    """Return the errors of a bench's voltmeters on a day given what was learned (None: nothing used), and notes.
+    """Return the voltmeters' errors on a day from learned differences (None: nothing used), and notes.
 
     `meters` are the identities of the voltmeters.
     """
@@ -303,9 +303,10 @@ GRADIENT: Final = Distribution(0.2, "rectangular")
 
 
 def thermometer_size(bench: BenchFile) -> Size | None:
-    """Return the uncertainty of the block's temperature as told, K.
+    """Return the uncertainty of the measured temperature of the block, K.
 
-    None for a chamber's thermometer without certificate: the band of the air, which counts anyhow, is larger.
+    It is None for a chamber's thermometer without certificate: the band of the air, which counts anyway, is
+    larger.
     """
     told_by = bench.instruments.thermometer or bench.instruments.chamber
     certificate = None if told_by is None else told_by.certificate

@@ -32,7 +32,7 @@ def coverage_factor(dof: ArrayLike, probability: float = COVERAGE) -> Floats:
 
 
 def require_probability(probability: float) -> None:
-    """Refuse what is no coverage probability. Raises `CalibrationError`."""
+    """Raise `CalibrationError` for a probability that is not between 0 and 1."""
     if not 0.0 < probability < 1.0:
         raise CalibrationError(f"a coverage probability lies between 0 and 1, not at {probability:g}")
 
@@ -42,7 +42,7 @@ def effective_dof(variances: Floats, dof: ArrayLike) -> Floats:
 
     `variances` (m, s) are the contributions of s independent sources to the variances of m outputs, `dof` (s,)
     the degrees of freedom of each. Where no source with finite ones contributes, the result is infinite.
-    Source: JCGM 100:2008, (G.2b). Correlated inputs belong into one source, known with common degrees of
+    Source: JCGM 100:2008, (G.2b). Correlated inputs belong to one source with common degrees of
     freedom (Willink, Metrologia 44 (2007) 340).
     """
     total = variances.sum(axis=1)
@@ -53,7 +53,7 @@ def effective_dof(variances: Floats, dof: ArrayLike) -> Floats:
 
 @dataclass(frozen=True)
 class Propagated(HasCovariance):
-    """Outputs `value` (m,) with their `covariance` (m, m) and effective degrees of freedom `dof` (m,)."""
+    """Propagated outputs: `value` (m,), `covariance` (m, m), effective degrees of freedom `dof` (m,)."""
 
     value: Floats
     covariance: Floats
@@ -93,7 +93,7 @@ def drawn(distribution: Distribution, shape: tuple[int, ...], rng: np.random.Gen
 
 @dataclass(frozen=True)
 class Distributed(HasCovariance):
-    """Outputs as Monte Carlo gives them: `mean` (m,), `u` (m,), `covariance` (m, m).
+    """Statistics of Monte Carlo outputs: `mean` (m,), `u` (m,), `covariance` (m, m).
 
     `symmetric` (m, 2) are the ends of the probabilistically symmetric coverage intervals for `probability`,
     `shortest` (m, 2) of the shortest ones.
@@ -128,7 +128,7 @@ def summary(outputs: Floats, probability: float = COVERAGE) -> Distributed:
 
 
 def numerical_tolerance(u: float, digits: int = 2) -> float:
-    """Return delta: half a unit of the last of so many significant digits of u. Source: JCGM 101:2008, 7.9.2."""
+    """Return delta: half a unit of significant digit number `digits` of u. Source: JCGM 101:2008, 7.9.2."""
     if u <= 0.0 or not math.isfinite(u):
         return 0.0
     mantissa = f"{u:.{digits - 1}e}"
@@ -137,7 +137,7 @@ def numerical_tolerance(u: float, digits: int = 2) -> float:
 
 @dataclass(frozen=True)
 class Validation:
-    """Whether linear propagation stands beside Monte Carlo: a row for each of m outputs.
+    """Validation of linear propagation by Monte Carlo, with one row for each of m outputs.
 
     `low`, `high` (m,) are the absolute differences of the interval ends, `tolerance` (m,) is delta, `ratio`
     (m,) Monte Carlo's u over the linear one.
@@ -177,6 +177,6 @@ def require_trials(trials: int, probability: float) -> None:
 
 
 def batches(count: int, batch: int) -> Iterator[int]:
-    """Yield the sizes of the batches in which so many trials are made."""
+    """Yield the sizes of the batches that make up `count` trials."""
     for begun in range(0, count, batch):
         yield min(batch, count - begun)

@@ -1,4 +1,4 @@
-"""The error sources of a bench file: size, distribution, what shares a draw, where the size comes from."""
+"""The error sources of a bench file: size, distribution, shared draws, and origin of the size."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ def bench_sources(
 ) -> tuple[ErrorSource, ...]:
     """Return the sources of a bench: stand, voltmeters, gravity, temperature, block.
 
-    `day` is that of the readings, from which the drift since each certificate follows. `known` is what was learned
-    of stand and noise. Parameters of effects in the model of `setup` are sources, too; K2 and K3 have a prior only
-    for channels without such an effect.
+    `day` is that of the readings, from which the drift since each certificate follows. `known` is learned
+    knowledge of stand and noise. Parameters of effects in the model of `setup` are sources, too; K2 and K3
+    have a prior only for channels without such an effect.
     """
     own = stand_sources(bench)
     if known is not None:
@@ -73,7 +73,7 @@ def signed_sources(
 
 
 def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """The tilting platform as the bench file states it; a calibration with levellings takes theirs instead."""
+    """Yield the tilt of the platform from the bench file; levellings of a calibration replace it."""
     stated = foundation_of(None, bench, levelled=False)
     if stated is not None:
         yield stated.source()
@@ -82,7 +82,7 @@ def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
 def hidden_sources(
     bench: BenchFile, model: ForwardModel, day: datetime.date | None = None, meters: KnownMeters | None = None
 ) -> tuple[ErrorSource, ...]:
-    """Return the sources that no reading shows and no fit holds; a prior where the file states no size.
+    """Return the sources that no reading shows and no fit estimates; a prior where the file states no size.
 
     `meters` are the voltmeters' errors given learned differences.
     """
@@ -145,9 +145,9 @@ _FRESH: Final[Mapping[str, tuple[str, str, Common]]] = {
 def _voltmeter_sources(
     bench: BenchFile, day: datetime.date | None, known: KnownMeters | None
 ) -> Iterator[ErrorSource]:
-    """One line for each quantity where all meters are alike, else one for each meter: "voltmeter_gain[x]".
+    """Yield one source per quantity if all meters are alike, else one per meter: "voltmeter_gain[x]".
 
-    Where differences between them were learned it is one line, whose draws are correlated.
+    Learned differences between meters give one source with correlated draws.
     """
     meters = bench.instruments.voltmeters
     largest_v = float(np.max(np.abs(bench.unit_under_test.scale_factors.values)))
@@ -192,7 +192,7 @@ def _sized(source: ErrorSource, size: Size) -> ErrorSource:
 
 
 def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """Local gravity, relative. A plain number has the uncertainty of its last digit, at least 1 mGal."""
+    """Yield the relative error of local gravity. A plain number has u of its last digit, at least 1 mGal."""
     g = bench.gravity_m_s2
     stated = bench.uncertainty.gravity
     if g is None:
@@ -243,7 +243,7 @@ def _temperature_source(bench: BenchFile) -> ErrorSource:
 
 
 def _head_table_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """The head's certified table: one error for each angle, the same at every visit."""
+    """Yield the error of the head's certified table: one draw for each angle, the same at every visit."""
     certificate = bench.instruments.head.certificate
     if certificate is not None:
         worst = max(certificate.values, key=lambda value: value.U / value.k)
@@ -255,7 +255,7 @@ def _head_table_source(bench: BenchFile) -> Iterator[ErrorSource]:
 
 
 def _thermometer_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """Error of the thermometer: the same throughout a run."""
+    """Yield the error of the thermometer, which is the same throughout a run."""
     size = thermometer_size(bench)
     if size is not None:
         source = _sized(ErrorSource("thermometer", "T", "K", size.distribution, "run", "scale", ""), size)
@@ -263,7 +263,7 @@ def _thermometer_source(bench: BenchFile) -> Iterator[ErrorSource]:
 
 
 def _supply_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
-    """One source for each rail, on the channels whose model has no supply sensitivity to it."""
+    """Yield one source for each rail, on the channels whose model has no supply sensitivity to it."""
     supply, section = bench.unit_under_test.supply, bench.uncertainty
     sizes = (section.bias_supply_coefficient, section.scale_supply_coefficient)
     bias, scale = (
@@ -293,7 +293,7 @@ def _supply_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSour
 
 
 def _turn_on_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """Turn-on repeatability of the biases, where it is stated or the bench switches the block."""
+    """Yield the turn-on repeatability of the biases, where it is stated or the bench switches the block."""
     stated = bench.uncertainty.turn_on_repeatability
     if stated is not None or bench.unit_under_test.supply is not None:
         origin = "prior: of a quartz-flexure accelerometer"

@@ -1,4 +1,4 @@
-"""The combined uncertainty of a calibration: of its readings, and of the bench errors that readings do not show.
+"""The combined uncertainty of a calibration: from its readings, and from bench errors that these do not show.
 
 Each error acts on measured readings as on those of a plan, and through the estimator's map on the coefficients. So
 the budget of a plan and the calibration of its readings agree where their noise does. Source: JCGM 100:2008 (GUM),
@@ -38,7 +38,7 @@ VOLTS: Final = "V"
 
 @dataclass(frozen=True)
 class MeasuredReadings:
-    """Measured readings, as errors act on them; `block` gives the forces from the signals."""
+    """Measured readings on which errors act; `block` computes the forces from the signals."""
 
     readings: Readings
     block: Block
@@ -62,7 +62,7 @@ class MeasuredReadings:
 
     @cached_property
     def orientation(self) -> Ints:
-        """A number for each orientation, (n,): installation and whole degree; a row of its own without them."""
+        """A number for each orientation, (n,): installation and whole degree; else one per row."""
         of = self.readings
         degrees = np.where(np.isfinite(of.angle_rad), np.degrees(of.angle_rad), 0.0)
         keys = np.stack([np.round(degrees) % 360, np.zeros(len(of))], axis=1)
@@ -135,7 +135,7 @@ def _foundation(readings: Readings, bench: BenchFile) -> TiltRate | None:
 
 
 def _on_roll(roll: Floats, covariance: Floats) -> tuple[str, ...]:
-    """Say how to measure the third mounting angle, where it is most of a coefficient's uncertainty."""
+    """Return advice on measuring the third mounting angle, if it dominates the u of a coefficient."""
     most = [
         n
         for n, part, u2 in zip(COEFFICIENTS, np.diag(roll), np.diag(covariance), strict=True)
@@ -200,8 +200,8 @@ def delta_g_contributions(
 ) -> dict[str, Floats]:
     """Return the contributions to the covariance (v, v) of |a| at the verification rows of the calibration's table.
 
-    By name, in local g²; their sum is the covariance. An error that acts on calibration and check alike, such as
-    the gain of a meter, cancels. The noise of the readings at the points is one of them.
+    They are given by name, in local g²; their sum is the covariance. An error that acts on calibration and
+    check alike, such as the gain of a meter, cancels. The noise of the readings at the points is one of them.
     """
     rows = np.flatnonzero(readings.installation == VERIFICATION)
     taken = _taken(calibration, readings, bench)
@@ -256,9 +256,9 @@ def _acting(
     day: date | None,
     meters: KnownMeters | None,
 ) -> list[ErrorSource]:
-    """The errors that no reading shows.
+    """Return the errors that no reading shows.
 
-    Linearity is left out where repeats share at least as large an error in the readings: that one contains it.
+    Linearity is left out if the repeats share at least as large an error, which then contains it.
     """
     shown = max((c.size for c in calibration.shared if c.what == "setting"), default=0.0)
     return [

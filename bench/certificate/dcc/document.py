@@ -1,4 +1,4 @@
-"""The whole document of a certificate, and its ring of administrative data."""
+"""The complete DCC of a certificate, and its administrative data."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PLACE: Final = f"{NAMESPACES['dcc']} {NAMESPACES['dcc']}/v{VERSION}/dcc.xsd"
 
 @dataclass(frozen=True)
 class _Whole:
-    """A certificate with all that a machine-readable one must have."""
+    """A certificate with all items that a DCC requires."""
 
     certificate: Certificate
     laboratory: Laboratory
@@ -81,7 +81,7 @@ def document_of(certificate: Certificate) -> bytes:
 
 
 def software() -> Node:
-    """Return this program as a DCC names software."""
+    """Return the element that describes this program as software."""
     return node(
         "dcc:software",
         node("dcc:name", plain("triaxial-bench")),
@@ -91,7 +91,7 @@ def software() -> Node:
 
 
 def contact(name: str, of: Contact) -> Node:
-    """Return a company with its address."""
+    """Return the element of a contact: a name with the address."""
     address = of.address
     return node(
         name,
@@ -238,7 +238,7 @@ def _statement(ref: str, *words: Node, name: Iterable[Node] = ()) -> Node:
 
 
 def _record(certificate: Certificate) -> Node:
-    """Return the record by which the run can be known again, with its seal as a file."""
+    """Return the element that identifies the run's record, with its seal as a file."""
     record, texts = certificate.found.record, certificate.texts
     sealed = said(texts, "seal_text", sealed=record.sealed) if record.sealed else said(texts, "no_seal")
     about = said(texts, "record_text", run=record.run, events=record.events, head=record.head)

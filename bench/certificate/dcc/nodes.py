@@ -36,7 +36,7 @@ _OURS: Final = {
     "m/s^2": MS2, "m/s^2/g": MS2, "g/(m/s^2)": r"\metre\tothe{-1}\second\tothe{2}", "rad": RADIAN, "°C": CELSIUS,
     "A": AMPERE, "m/s²": MS2, "": ONE,
 }  # fmt: skip
-"""Our units as D-SI has them. Local g is the unit of what is a ratio to it, a quantity of dimension one."""
+"""The units of results in D-SI notation. Ratios to local g are quantities of dimension one."""
 
 _PREFIXES: Final = {
     "quecto": -30, "ronto": -27, "yocto": -24, "zepto": -21, "atto": -18, "femto": -15, "pico": -12, "nano": -9,
@@ -57,7 +57,7 @@ _WORD: Final = re.compile(r"\\([a-z]+)(?:\{([+-]?\d+)\})?")
 
 
 def si_unit(unit: str) -> str:
-    """Return a unit of a result as D-SI has it. Raises `KeyError` for one that no result has."""
+    """Return the D-SI notation of a unit of results. Raises `KeyError` for any other unit."""
     return _OURS[unit]
 
 
@@ -74,9 +74,9 @@ def product(first: str, second: str) -> str:
 
 
 def read_unit(text: str) -> tuple[float, dict[str, int]]:
-    r"""Return how many SI units a unit of D-SI is, and its dimension by base: `\milli\volt` is 0.001, {"V": 1}.
+    r"""Return the SI value of a D-SI unit, and its dimension by base: `\milli\volt` is 0.001, {"V": 1}.
 
-    An angle counts as a number. Raises `ValueError` for what is no unit that is known here.
+    An angle counts as a number. Raises `ValueError` for an unknown unit.
     """
     if _WORD.sub("", text).strip() or not text.strip():
         raise ValueError(f"{text!r} is no unit of D-SI")
@@ -154,12 +154,12 @@ def said(texts: Iterable[Texts], key: str, **values: object) -> tuple[Node, ...]
 
 
 def plain(text: str) -> Node:
-    """Return a text that is of no language: a name, a number, what a customer wrote."""
+    """Return a text without a language: a name, a number, or a customer's wording."""
     return node("dcc:content", text)
 
 
 def number(value: float) -> str:
-    """Return a number as D-SI has it: what reads back to the same float. NaN is the only word."""
+    """Return a number in D-SI notation, which reads back to the same float. NaN is the only word."""
     return repr(float(value)) if math.isfinite(value) else "NaN"
 
 
@@ -259,7 +259,7 @@ def byte_data(file: Attached) -> Node:
 
 
 def broken_rules(document: bytes) -> tuple[str, ...]:
-    """Return what a document of ours must not be, a sentence each with its line; nothing for a good one."""
+    """Return a sentence with the line for each rule of this program that a document violates."""
     try:
         root = etree.fromstring(document, parser())
     except etree.XMLSyntaxError as error:
@@ -282,18 +282,18 @@ def _at(element: Node, text: str) -> str:
 
 
 def _elements(root: Node) -> Iterator[Node]:
-    """Yield the elements that are ours to check: all but signatures."""
+    """Yield the elements to check: all but signatures."""
     yield from root.iter(f"{{{DCC}}}*", f"{{{SI}}}*")
 
 
 def _version(root: Node) -> Iterator[str]:
-    """The document is a DCC of the version that is written here."""
+    """Yield a fault unless the document is a DCC of the version written here."""
     if root.tag != f"{{{DCC}}}digitalCalibrationCertificate" or root.get("schemaVersion") != VERSION:
         yield _at(root, f"not a DCC {VERSION}")
 
 
 def _languages(root: Node) -> Iterator[str]:
-    """Where a text is said in one of the languages it is said in all of them."""
+    """Yield a fault for each text that is not given in all languages."""
     used = {one.text for one in root.iter(f"{{{DCC}}}usedLangCodeISO639_1")}
     for element in _elements(root):
         said = [one.get("lang") for one in element.findall("dcc:content", NAMESPACES)]
@@ -303,7 +303,7 @@ def _languages(root: Node) -> Iterator[str]:
 
 
 def _lists(root: Node) -> Iterator[str]:
-    """The parts of a list are as many as its values, its units known."""
+    """Yield a fault for each list with parts of differing lengths or with unknown units."""
     for element in root.iter(f"{{{SI}}}realListXMLList"):
         words = {local(one): (one.text or "").split() for one in element.iter(f"{{{SI}}}*") if one.text}
         count = len((element.findtext("si:valueXMLList", "", NAMESPACES)).split())
@@ -321,7 +321,7 @@ def _lists(root: Node) -> Iterator[str]:
 
 
 def _covariances(root: Node) -> Iterator[str]:
-    """A covariance is square, symmetric and possible, and U is k times the root of its diagonal."""
+    """Yield a fault for each covariance that is not square, not possible, or does not agree with U / k."""
     for element in root.iter(f"{{{SI}}}realListXMLList"):
         columns = element.findall(".//si:covarianceXMLList/si:valueXMLList", NAMESPACES)
         if not columns:
@@ -347,7 +347,7 @@ def _covariances(root: Node) -> Iterator[str]:
 
 
 def _days(root: Node) -> Iterator[str]:
-    """Received, calibrated, issued: in this order."""
+    """Yield a fault unless receipt, calibration and issue are in this order."""
     core = root.find("dcc:administrativeData/dcc:coreData", NAMESPACES)
     names = ("receiptDate", "beginPerformanceDate", "endPerformanceDate", "issueDate")
     days = [] if core is None else [core.findtext(f"dcc:{name}", "", NAMESPACES) for name in names]
@@ -356,7 +356,7 @@ def _days(root: Node) -> Iterator[str]:
 
 
 def _simulation(root: Node) -> Iterator[str]:
-    """What is simulated says so and is numbered in its own series; what is not is in none of these."""
+    """Yield a fault unless exactly the simulated certificates say so and have numbers of their series."""
     number = root.findtext("dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier", "", NAMESPACES)
     said = root.find(".//dcc:statement[@refType='bench_simulated']", NAMESPACES) is not None
     if said != number.startswith(SIMULATED_SERIES):
@@ -364,7 +364,7 @@ def _simulation(root: Node) -> Iterator[str]:
 
 
 def _statements(root: Node) -> Iterator[str]:
-    """Statements of conformity are as many as the values that they are on."""
+    """Yield a fault for statements of conformity whose number differs from that of their values."""
     for element in root.iter(f"{{{DCC}}}conformityXMLList"):
         quantity = next(element.iterancestors(f"{{{DCC}}}quantity"), None)
         values = "" if quantity is None else quantity.findtext(".//si:valueXMLList", "", NAMESPACES)
@@ -373,7 +373,7 @@ def _statements(root: Node) -> Iterator[str]:
 
 
 def _signed(root: Node) -> Iterator[str]:
-    """Nothing stands outside the two name spaces but signatures at the end."""
+    """Yield a fault for each comment or foreign element, except signatures."""
     for element in root.iter():
         if not isinstance(element.tag, str):
             yield f"line {element.sourceline}: a comment or an instruction, which nobody signs for"
@@ -401,19 +401,19 @@ _STAND_INS: Final = {
         "</xs:element>",
     ),
 }
-"""What the two import from elsewhere, where the folder lacks it: of it only signatures stand in a document."""
+"""Stand-ins for schemas that the two import, if the folder lacks them; documents use only signatures."""
 
 
 @dataclass(frozen=True)
 class Schemas:
-    """The schemas of a folder, ready to check with; `stood_in` names the files that were not there."""
+    """The compiled schemas of a folder; `stood_in` names missing files that were replaced by stand-ins."""
 
     folder: Path
     checker: etree.XMLSchema
     stood_in: tuple[str, ...]
 
     def mistakes(self, document: bytes) -> tuple[str, ...]:
-        """Return what the schemas find wrong with a document, a sentence each."""
+        """Return a sentence for each violation of the schemas in a document."""
         root = etree.fromstring(document, parser())
         if self.checker.validate(root):
             return ()

@@ -1,4 +1,4 @@
-"""DCCs read back: coefficients of a block, certificates of instruments."""
+"""Reading DCCs: the coefficients of a block, and the certificates of instruments."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ _VOLT_PER_MS2: Final[Dimension] = (("V", 1), ("m", -1), ("s", 2))
 
 @dataclass(frozen=True)
 class DocumentReading:
-    """What a document says of a block: a result as `bench calibrate --json` has it, and what to know of it."""
+    """The result for a block in a document, in the form of `bench calibrate --json`, and notes on it."""
 
     result: dict[str, Any]
     notes: tuple[str, ...]
 
 
 def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
-    """Return the root of a document, and what its signature is worth; of a signed one only what is signed.
+    """Return the root of a document, limited to its signed content if signed, and notes on the signature.
 
     Raises `Refused` where it cannot be read, is no DCC, or where its signature does not hold.
     """
@@ -172,7 +172,7 @@ def said(root: Node, path: str) -> str:
 
 
 def _order(labels: tuple[str, ...]) -> tuple[int, ...] | None:
-    """Return where each coefficient stands in a list with such labels; None where it is not one of them."""
+    """Return the index of each coefficient in a list with these labels; None if one is missing."""
     plain = [label.replace("_", "").replace("{", "").replace("}", "").casefold() for label in labels]
     wanted = [name.casefold() for name in COEFFICIENTS]
     if sorted(plain) != sorted(wanted):
@@ -257,7 +257,7 @@ _AXIS: Final = ("basic_nominalValue", "basic_referenceValue", "basic_measuredVal
 
 @dataclass(frozen=True)
 class Section:
-    """The text to be pasted, and what a reader should know of it."""
+    """The section `certificate` of a bench file: its text to be pasted, and notes for the user."""
 
     text: str
     notes: tuple[str, ...]
@@ -318,7 +318,7 @@ def _values(path: Path, root: Node) -> tuple[list[dict[str, str]], list[str]]:
 
 
 def _tables(root: Node) -> Iterator[tuple[RealList, RealList]]:
-    """Yield each column of errors with the column that it belongs to."""
+    """Yield each column of errors with the column of the values to which they apply."""
     for table in root.iter(f"{{{DCC}}}list"):
         columns = [
             one for quantity in table.findall("dcc:quantity", NAMESPACES) for one in real_lists(quantity)
@@ -348,7 +348,7 @@ def _rows(
 
 
 def _checked(stated: dict[str, Any], values: list[dict[str, str]]) -> Iterator[str]:
-    """Yield what a bench file would refuse of these values."""
+    """Yield the mistakes that a bench file with these values would have."""
     if not values:
         return
     form = HeadCertificate if "angle" in values[0] else ChamberCertificate
@@ -365,7 +365,7 @@ Dimension = tuple[tuple[str, int], ...]
 
 
 class NotRead(ValueError):
-    """A list is not what D-SI says; the text says where and why."""
+    """Raised for a list that violates D-SI; the message says where and why."""
 
 
 @dataclass(frozen=True)
@@ -386,7 +386,7 @@ class RealList:
 
     @property
     def words(self) -> str:
-        """What it is, for a sentence."""
+        """A description of the list, for use in a sentence."""
         named = f": {' '.join(self.labels[:12])}" if self.labels else ""
         return f"line {self.line}, {len(self.values)} values{named}"
 

@@ -1,4 +1,4 @@
-"""The ring of measurement results: method, instruments, conditions, coefficients, check, readings."""
+"""The measurement results of a DCC: method, instruments, conditions, coefficients, check, readings."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ _CONFORMITY: Final = {
 
 
 def measurement_results(certificate: Certificate) -> Node:
-    """Return the whole ring; results before an adjustment stand first, as a result of their own."""
+    """Return the element of all results; results before an adjustment come first, as a separate result."""
     parts = [_measured(certificate, certificate.found, "found-")]
     if certificate.as_found is not None:
         parts.insert(0, _measured(certificate, certificate.as_found, "before-"))
@@ -219,7 +219,7 @@ def _listed(values: Values, certificate: Certificate) -> Node:
 
 
 def _freedom(members: Sequence[Value]) -> Node | None:
-    """Return the degrees of freedom of u, a number each; nothing where all are infinite."""
+    """Return the list of the degrees of freedom of u; None if all are infinite."""
     if not any(math.isfinite(one.dof) for one in members):
         return None
     finite = [(one.name, one.dof) for one in members if math.isfinite(one.dof)]
@@ -232,7 +232,7 @@ def _freedom(members: Sequence[Value]) -> Node | None:
 
 
 def region_factor(probability: float, dimension: int) -> float:
-    """Return k of the ellipsoid that holds so much of a normal distribution of this dimension (JCGM 102, 6.5.2)."""
+    """Return k of the normal distribution's coverage ellipsoid of this probability (JCGM 102, 6.5.2)."""
     return float(np.sqrt(2.0 * special.gammaincinv(0.5 * dimension, probability)))
 
 
@@ -362,7 +362,7 @@ _LIST: Final = ".//si:realListXMLList"
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A coefficient as it was signed: value, U = k u, k, unit (D-SI)."""
+    """A coefficient in a certificate: value, U = k u, k, unit (D-SI)."""
 
     name: str
     value: float
@@ -373,7 +373,7 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class ShownValues:
-    """What a certificate says: `files` are those that it holds, `covariance` that of the coefficients, row by row.
+    """The values in a certificate; `files` are its attachments, `covariance` is for the coefficients.
 
     `conformity` is the word of the DCC ("pass"), empty where it makes no statement; `release` is that of the
     program that made it; `says_signed` whether it says that it is signed, None where it says nothing of that.
@@ -395,7 +395,7 @@ class ShownValues:
     files: dict[str, bytes]
 
     def part(self) -> CertificateSays:
-        """Return it as a result has it, the files by their names alone."""
+        """Return these values for a result of `bench`, with the files by name only."""
         told = {name: getattr(self, name) for name in CertificateSays.model_fields}
         coefficients = {
             one.name: {"value": one.value, "U": one.U, "k": one.k, "unit": one.unit}
@@ -413,7 +413,7 @@ class ShownValues:
 
 
 def shown_of(content: bytes) -> ShownValues:
-    """Return what content says. Raises `NotIntact` where it is no digital calibration certificate."""
+    """Return the values in the XML `content`. Raises `NotIntact` if it is no DCC."""
     from lxml import etree
 
     root = etree.fromstring(content, etree.XMLParser(resolve_entities=False, no_network=True))

@@ -34,15 +34,15 @@ RELAXATION_S: Final = (480.0, 960.0, 1920.0, 3840.0)
 """Time constants of slow changes."""
 
 NEAR_DEG: Final = 3.0
-"""Within this a reading belongs to the angle of its repeats."""
+"""Largest difference, in degrees, between the angles of repeats."""
 CANDIDATE: Final = 21.1
 """Chi-square (three signals) from which a reading is left out, to be looked at: p = 1e-4."""
 ROUNDS: Final = 3
-"""Rounds in which noise and weights are made consistent."""
+"""Number of iterations that make noise and weights consistent."""
 MEDIANS: Final = (0.4549, 1.3863 / 2)
 """Medians of chi-square with one and with two degrees of freedom, over the degrees of freedom."""
 SEEN: Final = 0.05
-"""A reading of which the fit leaves a smaller part tells nothing of the noise."""
+"""A reading of which the fit leaves a smaller fraction does not contribute to the noise estimate."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Gross mistakes of wiring and procedure: each supposed, the readings fitted anew, its odds."""
+"""Gross mistakes of wiring and procedure: a fit of the readings under each supposition, and its odds."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ RAISED: Final = 2.0
 """The first of two mistakes, put right by itself, may raise the cost, but by no more than so many times."""
 
 LEAST_P: Final = sys.float_info.min
-"""Stands for every p below it: none is 0."""
+"""Lower limit of p-values, so that none is 0."""
 
 MOST_LEFT_OUT: Final = 4
 LEFT_OUT: Final = 50.0
@@ -165,7 +165,7 @@ class GrossSearch:
 
     @property
     def gross_g(self) -> float:
-        """What a reading may be off without a mistake, 1 sigma, g."""
+        """Standard deviation, in g, of the error of a reading without a mistake."""
         return max(GROSS_G, self.stand_rad)
 
     def find(self, table: OrientedRows) -> tuple[GrossMistake | None, int]:
@@ -335,7 +335,7 @@ def _sheet_u() -> Floats:
 
 
 def _fits(scores: SuppositionScores, n: int) -> NDArray[np.bool_]:
-    """Whether readings (n of them) fit with each supposition, (H,)."""
+    """Return whether the `n` readings fit with each supposition, shape (H,)."""
     return np.asarray((scores.sheet <= LEAST_FALL) & (scores.cost <= LEAST_FALL + FITS * 3 * n))
 
 

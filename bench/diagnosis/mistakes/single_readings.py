@@ -79,7 +79,7 @@ SLIPS_RAD: Final = tuple(
 )
 """A setting off by 1°, 10′ or 1′; beside them the angle counted backwards, 360° - φ."""
 REFLECTED_RAD: Final = float(np.radians(0.5))
-"""A reflection that moves the head by less is none."""
+"""Least change of the head angle that counts as a reflection."""
 SLIP_PART: Final = 0.01
 """How well the shift by a wrong setting is known, as a part of it: effects not in the model change it a little,"""
 SLIP_G: Final = 5e-4
@@ -160,7 +160,7 @@ def find_single(
 
 
 def _in_readings(mistake: SingleMistake, noise: Noise) -> float:
-    """Return how far off an outlier is, in units of the noise of a reading."""
+    """Return the size of an outlier in units of the noise of a reading."""
     return float(max(abs(mistake.shift["xyz".index(c)]) for c in mistake.channels)) / noise.reading
 
 
@@ -271,13 +271,13 @@ class _Ladder:
         return [*(ladder[:-1] if steady else ladder), *hysteresis]
 
     def _plainly_not(self, level: int) -> bool:
-        """Whether the plainest description does not do, and not by chance."""
+        """Return whether the plainest description is significantly inadequate."""
         free = self.examined(level)
         strange = tuple(dict.fromkeys((*self.examined(0).strange, *free.strange)))
         return self._p(0, self._described.ladder[level], free.noise, strange) < INADEQUATE
 
     def _p(self, level: int, free: Description, noise: Noise, strange: Sequence[int]) -> float:
-        """Return the p of what a freer description explains more: F test, without what is strange."""
+        """Return the p-value (F test) of the improvement by a freer description, without strange readings."""
         chi2, dof = [], []
         for description in (self._described.ladder[level], free):
             precision = weigh(description, self._situation, noise).without(strange)

@@ -1,4 +1,4 @@
-"""One run: its page and what its script is sent; answers, wishes, control of it, going on and giving up."""
+"""One run: its page, the data for its script, answers, wishes, control, resuming and giving up."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from bench.run.person import (
 from bench.run.record import is_being_written
 
 MOST_STREAMS: Final = 30
-"""Live pages of one person at a time: each holds a connection."""
+"""Largest number of live pages of one person; each page holds a connection."""
 
 
 def run_of(request: Request) -> Run:
@@ -44,20 +44,20 @@ def run_of(request: Request) -> Run:
 
 
 async def run(request: Request) -> Response:
-    """Show a run, as it is now; the script goes on from there."""
+    """Show a run in its current state; the script then updates the page."""
     found = run_of(request)
     state = await panel_of(request).followers.state(found.folder)
     return page(request, "run.html.j2", state=state, state_json=json.dumps(without_infinity(state)))
 
 
 async def state(request: Request) -> Response:
-    """Send what is told of a run now, see `bench.panel.run_state`."""
+    """Send the current snapshot of a run, see `bench.panel.run_state`."""
     found = run_of(request)
     return JSONResponse(without_infinity(await panel_of(request).followers.state(found.folder)))
 
 
 async def stream(request: Request) -> Response:
-    """Send what is told of a run whenever it changes, as server-sent events."""
+    """Send the snapshot of a run at each change, as server-sent events."""
     found, name, streams = run_of(request), looking(request).name, panel_of(request).streams
     if streams[name] >= MOST_STREAMS:
         raise Refusal(429, f"{name} has {MOST_STREAMS} live pages open; close one")
@@ -90,7 +90,7 @@ async def _as_long_as_signed_in(
 
 
 async def check_answer(request: Request) -> Response:
-    """Say what is wrong with an answer that is being typed, and how it is understood; nothing is answered by it."""
+    """Send the problem with an answer being typed, and its interpretation; nothing is stored."""
     found = run_of(request)
     asked = await panel_of(request).followers.prompt(found.folder)
     text = request.query_params.get("text", "")
@@ -174,7 +174,7 @@ async def resume(request: Request) -> Response:
 
 
 async def give_up(request: Request) -> Response:
-    """End a run for good that nobody carries out."""
+    """End a run permanently that no program carries out."""
     person, _ = await acting(request, Role.OPERATOR)
     run = panel_of(request).runs.run(request.path_params["name"])
     await _doing(_hold, run, person)
@@ -200,7 +200,7 @@ def _who(person: Person) -> WishAuthor:
 
 
 async def _doing(work: Callable[..., Told], *given: object) -> Told:
-    """Do what waits for a disk beside the loop. Raises `Refusal` where that refuses to be written."""
+    """Run disk work in a thread outside the event loop. Raises `Refusal` if it cannot be written."""
     try:
         return await run_in_threadpool(work, *given)
     except OSError as error:
@@ -208,7 +208,7 @@ async def _doing(work: Callable[..., Told], *given: object) -> Told:
 
 
 def _done(request: Request, run: Run, what: str) -> Response:
-    """Answer a script in words, a form with the page of the run."""
+    """Answer a script with a sentence, and a form with the page of the run."""
     if wants_json(request):
         return JSONResponse({"done": what})
     from urllib.parse import quote

@@ -20,11 +20,11 @@ ON_A_PAGE: Final = 50
 FILTERS: Final = ("state", "verdict", "instruments", "unit", "bench", "operator")
 LONGEST_SEARCH: Final = 200
 MOST_OFFERED: Final = 200
-"""A list of more different words than that is no choice; the search finds them."""
+"""Largest number of words offered as choices for a column; longer lists are left to the search."""
 
 
 def runs(request: Request) -> Response:
-    """Show the runs that are looked for, newest first."""
+    """Show the runs that match the search, newest first."""
     looking(request)
     every = panel_of(request).table.rows()
     asked = {name: request.query_params.get(name, "")[:LONGEST_SEARCH] for name in ("search", *FILTERS)}
@@ -49,7 +49,7 @@ def runs(request: Request) -> Response:
 
 
 def _choices(rows: list[RunRow], asked: dict[str, str]) -> dict[str, list[str]]:
-    """Return the words that each column has, to choose from."""
+    """Return the words in each column, as choices for the filters."""
     offered = {}
     for column in FILTERS:
         words = {getattr(row, column) for row in rows} | {asked[column]}

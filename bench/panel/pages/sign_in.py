@@ -17,13 +17,13 @@ _HERE: Final = re.compile(r"/(?:[^/\\\s][^\\]*)?")
 
 
 def sign_in(request: Request) -> Response:
-    """Show the form; nobody is signed in by looking at it."""
+    """Show the sign-in form; opening it, even with a link, signs nobody in."""
     asked = request.query_params
     return _form(request, asked.get("next", "/"), link=asked.get("link", ""))
 
 
 async def signed_in(request: Request) -> Response:
-    """Sign in who has a token or a link that holds."""
+    """Sign in a person with a valid token or link."""
     sent = await fields(request)
     panel = panel_of(request)
     link, token = sent.get("link", ""), sent.get("token", "")
@@ -72,5 +72,5 @@ def _form(request: Request, after: str, *, link: str = "", wrong: str = "", stat
 
 
 def _here(path: str) -> str:
-    """Return a path of this panel: what leads elsewhere leads to the runs."""
+    """Return a path if it belongs to this panel; otherwise the path of the runs."""
     return quote(path, errors="replace") if _HERE.fullmatch(path) else "/"

@@ -1,4 +1,4 @@
-"""Starting a run: what is chosen, what check and a dry run find, and then the bench."""
+"""Starting a run: the choice of files, check and dry run, and then the start on the bench."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ BEGINS_WITHIN: Final = timedelta(seconds=30)
 
 
 def form(request: Request) -> Response:
-    """Show what can be chosen; `after` is a run whose diagnosis proposes what to measure."""
+    """Show the form with its choices; `after` is a run whose diagnosis proposes measurements."""
     person = _operator(request)
     given = {name: request.query_params.get(name, "")[:LONGEST] for name in (*FORM, "after")}
     given["operator"] = person.name
@@ -86,7 +86,7 @@ def form_field(name: str) -> FormField:
 
 
 async def check(request: Request) -> Response:
-    """Have what was chosen checked and tried, by a process of its own."""
+    """Start a separate process that checks and tries the chosen run."""
     person, sent = await acting(request, Role.OPERATOR)
     panel = panel_of(request)
     wish = await run_in_threadpool(_wished, panel, person, sent)
@@ -112,7 +112,7 @@ def _wished(panel: Panel, person: Person, sent: dict[str, str]) -> WishFolder:
 
 
 def found(request: Request) -> Response:
-    """Show what was found, as far as it goes."""
+    """Show the findings of check and dry run so far."""
     _operator(request)
     wish = panel_of(request).wishes.of(request.path_params["wish"])
     told = wish.found()
@@ -129,7 +129,7 @@ def found(request: Request) -> Response:
 
 
 async def go(request: Request) -> Response:
-    """Start what was found to be right; who starts it is in control."""
+    """Start a run whose check found no obstacle; the person who starts it is in control."""
     person, _ = await acting(request, Role.OPERATOR)
     panel = panel_of(request)
     wish = panel.wishes.of(request.path_params["wish"])
@@ -175,6 +175,6 @@ def _times(told: TrialResult) -> dict[str, str]:
 
 
 def _just_begun(wish: WishFolder) -> bool:
-    """Whether the process that checks may not have begun to yet."""
+    """Whether the wish is so new that its checking process may not have begun yet."""
     age_s = utc_now().timestamp() - (wish.path / WISH).stat().st_mtime
     return age_s < BEGINS_WITHIN.total_seconds()

@@ -23,7 +23,7 @@ MOST_TOLD: Final = 50
 
 
 def verdict(request: Request) -> Response:
-    """Show what was found of a run."""
+    """Show the results of a run."""
     run = _run(request)
     diagnosing = panel_of(request).diagnosing.get(run.name)
     certificates, trouble = _certificates(request, run)
@@ -43,7 +43,7 @@ def verdict(request: Request) -> Response:
 
 
 def report(request: Request) -> Response:
-    """Send the report of a run, as it stands in its folder."""
+    """Send the report of a run from its folder, unchanged."""
     return _apart(read_page(_run(request), REPORT), "text/html; charset=utf-8")
 
 
@@ -66,7 +66,7 @@ def figure(request: Request) -> Response:
 
 
 async def diagnose(request: Request) -> Response:
-    """Begin to diagnose a run, by a process of its own."""
+    """Start a separate process that diagnoses a run."""
     await acting(request, Role.OPERATOR)
     panel = panel_of(request)
     run = panel.runs.run(request.path_params["name"])
@@ -82,7 +82,7 @@ async def diagnose(request: Request) -> Response:
 
 
 def _certificates(request: Request, run: Run) -> tuple[tuple[Issued, ...], str]:
-    """Return the certificates of a run, and why they cannot be told."""
+    """Return the certificates of a run, and the reason if they cannot be read."""
     try:
         return panel_of(request).certificates.of(run), ""
     except Refused as why:

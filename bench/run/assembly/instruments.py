@@ -40,11 +40,11 @@ from sim.world.world import World, WorldSettings
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What drivers are given beside their own section.
+    """The parts of a bench that drivers receive beside their own section.
 
-    `resources` has by name the resources that are taken in place of those in the bench file; `haste` tells
-    when instruments that do not answer are waited for no longer. What is opened is held by `holding`; `sessions`
-    takes up the sessions that are made, by the names of their instruments.
+    `resources` replaces, by name, resources of the bench file. `haste` ends the waiting for instruments that
+    do not answer. `holding` reserves the instruments that are opened. `sessions` collects the sessions that
+    are made, by the names of their instruments.
     """
 
     person: Person
@@ -57,7 +57,7 @@ class Surroundings:
     sessions: dict[str, MessageSession] = field(default_factory=dict)
 
     def session(self, name: str, section: WiredForm) -> MessageSession:
-        """Return the message session of an instrument; nothing is opened."""
+        """Make and return the message session of an instrument; nothing is opened."""
         port = section.port()
         self.sessions[name] = MessageSession(
             name,
@@ -75,7 +75,7 @@ class Surroundings:
 
 
 def instruments_of(bench: BenchFile, given: Surroundings) -> Instruments:
-    """Make the drivers that a bench file names; nothing is opened yet.
+    """Return the drivers of the instruments in a bench file; nothing is opened yet.
 
     Raises `BenchError` for a driver that cannot be loaded.
     """
@@ -106,7 +106,7 @@ def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]
 
 
 def _thermometer(sections: InstrumentsSection, meters: Sequence[Any], given: Surroundings) -> Any:
-    """Return the driver of the thermometer; beside the signals it speaks over the voltmeter's session."""
+    """Return the driver of the thermometer; one at a voltmeter's own input uses that meter's session."""
     section = sections.thermometer
     if section is None:
         return None
@@ -139,7 +139,7 @@ def _driver(section: InstrumentForm, given: Surroundings) -> Any:
 
 
 def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> World:
-    """Make the world of a bench file: its stand and block as truth, `model` with its effects."""
+    """Return the simulated world of a bench file: its stand and block as truth, `model` with its effects."""
     truth = bench.simulation
     settings = WorldSettings(
         block=bench.simulated_block(),
@@ -159,7 +159,7 @@ def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> 
 
 
 def power_of(bench: BenchFile) -> PowerSettings:
-    """Return what the simulated block takes from the supply of the bench: nothing where it has none."""
+    """Return the settings of the block's simulated supply; they are empty where the bench has no supply."""
     truth, feed = bench.simulation.power_supply, bench.unit_under_test.supply
     if feed is None or bench.instruments.power_supply is None:
         return PowerSettings()
@@ -194,7 +194,7 @@ def _span(one: float, other: float) -> tuple[float, float]:
 
 
 def operator_of(bench: BenchFile) -> OperatorSettings:
-    """Return how the person at the simulated bench works."""
+    """Return the settings of the simulated bench's operator."""
     operator = bench.simulation.operator
     return OperatorSettings(
         setting_deviation_rad=operator.setting_deviation,
@@ -206,7 +206,7 @@ def operator_of(bench: BenchFile) -> OperatorSettings:
 
 
 def simulated_instruments(bench: BenchFile, world: World) -> dict[str, Dialect | SimulatedMeter]:
-    """Return by name what stands for each instrument with a wire; for one that a person works there is none.
+    """Return the simulations of the instruments with a wire, by name; those worked by hand have none.
 
     Raises `BenchError` for a simulation that cannot be loaded.
     """
@@ -227,7 +227,7 @@ def simulated_instruments(bench: BenchFile, world: World) -> dict[str, Dialect |
 
 
 def _probes(bench: BenchFile, world: World) -> dict[int, Probe]:
-    """Return the sensor that is wired to the voltmeter with the signals, by its channel."""
+    """Return the simulated sensor that is wired to a voltmeter, by its channel; empty where there is none."""
     section = bench.instruments.thermometer
     truth = bench.simulation.thermometer
     if not isinstance(section, Keysight34970AThermometerSection):
@@ -237,7 +237,7 @@ def _probes(bench: BenchFile, world: World) -> dict[int, Probe]:
 
 
 def buses_of(bench: BenchFile) -> dict[str, dict[str, int]]:
-    """Return by the name of each GPIB adapter the instruments behind it with their addresses."""
+    """Return the instruments behind each GPIB adapter, by the adapter's name, with their addresses."""
     buses: dict[str, dict[str, int]] = {name: {} for name in bench.instruments.adapters.values()}
     for section in bench.instruments.all():
         if isinstance(section, WiredForm) and section.place is not None:
@@ -246,9 +246,9 @@ def buses_of(bench: BenchFile) -> dict[str, dict[str, int]]:
 
 
 def on_terminals(bench: BenchFile) -> tuple[str, ...]:
-    """Return the names of the instruments whose serial port a pseudo-terminal can stand for.
+    """Return the names of the instruments whose serial port a pseudo-terminal can replace.
 
-    That is one with 8 data bits: pyvisa-py cannot set 7 on a pseudo-terminal, which knows neither.
+    Such a port has 8 data bits: pyvisa-py cannot set 7 on a pseudo-terminal, which supports neither.
     """
     return tuple(
         section.name
@@ -260,5 +260,5 @@ def on_terminals(bench: BenchFile) -> tuple[str, ...]:
 
 
 def faults_of(bench: BenchFile) -> list[Fault]:
-    """Return the faults of the bench file."""
+    """Return the simulated faults of the bench file."""
     return [Fault.parse(fault.to_plain()) for fault in bench.simulation.faults]

@@ -61,11 +61,11 @@ _DONE: Final = frozenset(
 
 
 class LivingOperator:
-    """A `drivers.interfaces.WatchingPerson` who is `person`, with the hands of a scripted operator.
+    """A `drivers.interfaces.WatchingPerson`: `person` answers, and a scripted operator acts in the world.
 
-    The head stands where the person says that its scale shows it to be. A display, and the bubble of a level, are
-    told in the question. In the world a task takes the time that the scripted operator takes for it, however long
-    the person does.
+    The head moves to the angle that the person reads from its scale. The question itself states what a
+    display or the bubble of a level shows. In the world a task takes the scripted operator's time, not the
+    person's.
     """
 
     def __init__(self, person: WatchingPerson, hands: ScriptedOperator) -> None:
@@ -74,7 +74,7 @@ class LivingOperator:
 
     @property
     def meanwhile(self) -> Callable[[], None] | None:
-        """What is to be done while a question waits."""
+        """The function that is called while a question waits."""
         return self._person.meanwhile
 
     @meanwhile.setter
@@ -82,7 +82,7 @@ class LivingOperator:
         self._person.meanwhile = self._hands.meanwhile = look
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Ask the person, and do in the world what they say is done. Raises what the person's `ask` raises."""
+        """Ask the person, and do the task in the world. Raises the errors of the person's `ask`."""
         action = prompt.action
         if action["do"] in _LOOKED_AT:
             seen = self._hands.ask(prompt).text
@@ -99,14 +99,14 @@ class LivingOperator:
 
 
 HELD: Final = "instruments"
-"""The part of the cache folder in which a program holds the instruments that it has opened."""
+"""Name of the cache folder in which a program reserves the instruments that it has opened."""
 
 
 @dataclass(frozen=True)
 class Assembly:
-    """A bench put together: instruments, who answers prompts, the clock, and who watches the run.
+    """A bench put together: instruments, the person who answers prompts, the clock, and the run's observers.
 
-    `sessions` are those of the instruments with a wire, `simulated` the bench behind them where it is a dry one.
+    `sessions` are those of the instruments with a wire; `simulated` is the simulated bench of a dry run.
     """
 
     instruments: Instruments
@@ -121,7 +121,7 @@ class Assembly:
 def real_bench(
     bench: BenchFile, person: Person, wire: Wire | None = None, haste: Haste | None = None
 ) -> Assembly:
-    """Put the bench of a bench file together; nothing is opened yet, and what is opened is held."""
+    """Return the real bench of a bench file; nothing is opened yet. Opening an instrument reserves it."""
     clock = SystemClock()
     given = Surroundings(
         person,
@@ -146,13 +146,12 @@ def dry_bench(
     taken: Sequence[Reading] = (),
     living: WatchingPerson | None = None,
 ) -> Iterator[Assembly]:
-    """Put a simulated bench together: the bench file's stand and block as truth, `model` with its effects.
+    """Yield a simulated bench: the bench file's stand and block as truth, `model` with its effects.
 
-    `living` is a person who answers in place of the scripted operator.
-
-    Of the steps of `plan` the world learns in which order they read the channels. `taken` are the readings on
-    record of a run to be resumed: effects look back to them.
-    Raises `BenchError` for a fault in the bench file that its instrument cannot have.
+    `living` is a person who answers in place of the scripted operator. From `plan` the world learns the order
+    in which each step reads the channels. `taken` are the recorded readings of a resumed run, for effects
+    that depend on earlier readings. Raises `BenchError` for a fault in the bench file that its instrument
+    cannot have.
     """
     clock = VirtualClock()
     world = world_of(bench, model, seed, clock)
@@ -160,7 +159,7 @@ def dry_bench(
     operator = scripted if living is None else LivingOperator(living, scripted)
 
     def key_world(event: Event) -> None:
-        """Tell the world which step goes on, so that its random numbers belong to the step."""
+        """Give the world the key of the present step, so that its random numbers belong to the step."""
         if event.type == EventType.STEP_STARTED:
             attempt = int(event.data["attempt"])
             key = str(event.data["key"])
@@ -186,9 +185,9 @@ def dry_bench(
 
 
 def _recall(world: World, taken: Sequence[Reading]) -> None:
-    """Tell a world the readings on record, where an effect in it looks back to them.
+    """Give a world the recorded readings, if an effect in it depends on earlier readings.
 
-    A free position, of which nobody knows how it was, is none to it.
+    Readings in a free position are left out, because their orientation is unknown.
     """
     for reading in taken if world.settings.model.needs_history else ():
         label, angle_deg = reading.installation, reading.angle_deg
@@ -209,7 +208,7 @@ def _recall(world: World, taken: Sequence[Reading]) -> None:
 
 @dataclass(frozen=True)
 class Serving:
-    """A simulated bench as other programs see it: who is where, and where it is controlled."""
+    """A simulated bench as other programs see it: the addresses of its instruments and of its control."""
 
     instruments: tuple[Mapping[str, str | None], ...]
     control: str
@@ -226,9 +225,9 @@ def served_bench(
     first_port: int = 0,
     with_terminals: bool = True,
 ) -> Iterator[Serving]:
-    """Serve the instruments of a bench file that have a wire, on a clock `speed` times the real one's.
+    """Serve the wired instruments of a bench file, on a clock `speed` times as fast as the real one.
 
-    Raises `BenchError` when a port is taken, or for a fault that its instrument cannot have.
+    Raises `BenchError` when a port is in use, or for a fault that its instrument cannot have.
     """
     simulated = _simulated(
         bench,
@@ -264,7 +263,7 @@ def _simulated(
 
 
 TASK_TIME_S = 30.0
-"""How long the scripted person takes to pull a cable, or to see that a way is clear."""
+"""Time in which the scripted person pulls a cable, or sees that the head's way is clear, s."""
 
 
 class ScriptedHand:
@@ -276,7 +275,7 @@ class ScriptedHand:
         self._control = BenchControl(simulated)
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Do what is asked, and say so."""
+        """Do the task in the prompt and confirm it; other prompts go to the scripted operator."""
         action = prompt.action
         if action["do"] == "cable":
             word = "accept" if action["plugged"] else "refuse"
@@ -295,7 +294,7 @@ class ScriptedHand:
 def real_evening(
     file: BenchFile, person: Person, log: Wire | None, haste: Haste | None = None
 ) -> CommissioningSession:
-    """Return an evening on the bench of a bench file; nothing is opened yet. `haste` cuts waiting short."""
+    """Return a commissioning session on a real bench; nothing is opened yet. `haste` cuts waiting short."""
     watch, heard = WireWatch(log), CommissioningPerson(person)
     assembly = real_bench(file, heard, watch, haste)
     watch.time_s = assembly.clock.now_s
@@ -306,10 +305,10 @@ def real_evening(
 def dry_evening(
     file: BenchFile, model: ForwardModel, seed: int, log: Wire | None, haste: Haste | None = None
 ) -> Iterator[CommissioningSession]:
-    """Yield an evening on the simulated bench of a bench file, with its scripted person.
+    """Yield a commissioning session on the simulated bench of a bench file, with its scripted person.
 
-    Time is that of its clock, and what the wires take on the computer on top of that: a fault that makes an
-    answer late does so in the computer's time. Raises `BenchError` for a fault that its instrument cannot have.
+    Its time is the simulated clock's plus the computer's: a fault that delays an answer takes the computer's
+    time. Raises `BenchError` for a fault that its instrument cannot have.
     """
     watch = WireWatch(log)
     with dry_bench(file, model, seed, watch, haste) as assembly:

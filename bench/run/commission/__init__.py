@@ -1,1 +1,1 @@
-"""Commissioning: a first evening with the instruments of a bench, each looked at from all sides once."""
+"""Commissioning: a first session with the instruments of a bench, in which every function is checked once."""

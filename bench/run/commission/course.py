@@ -1,4 +1,4 @@
-"""The course of the evening: which checks follow each other, the check of every cable, how it ends."""
+"""The course of a commissioning session: the order of the checks, the check of every cable, and the end."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ CABLE: Final = "cable pulled"
 AGAIN: Final = "cable plugged in again"
 
 TRIES: Final = 3
-"""A driver may try so often before it gives a wire up; each try costs a timeout, and one to connect."""
+"""Number of attempts of a driver before it gives up a wire; each costs a timeout and a connection."""
 PATIENCE_S: Final = 30.0
-"""A network port or a serial adapter may take so long to be there again."""
+"""Time in which a network port or a serial adapter must be available again, s."""
 PAUSE_S: Final = 2.0
 
 
 @runtime_checkable
 class _HasScale(Protocol):
-    """A head that can be asked where it stands without being moved."""
+    """A head whose angle can be read without moving it."""
 
     def position_rad(self) -> float:
-        """Return the angle read back."""
+        """Return the angle read back, rad."""
         ...
 
 
 @dataclass(frozen=True)
 class Cable:
-    """What is pulled: `text` names it for a person, all `instruments` hang on it."""
+    """A cable to be pulled: `text` names it for a person, `instruments` are all those connected by it."""
 
     text: str
     instruments: Sequence[Instrument]
 
 
 def cables(evening: CommissioningSession) -> Iterator[Cable]:
-    """Yield the cable of each instrument with a wire; all that are behind one GPIB adapter share its."""
+    """Yield the cable of each instrument with a wire; all instruments behind one GPIB adapter share one."""
     by_adapter: dict[str, list[Instrument]] = {}
     for instrument in evening.instruments.all():
         section = evening.section(instrument.name)
@@ -60,7 +60,7 @@ def cables(evening: CommissioningSession) -> Iterator[Cable]:
 
 
 def check_cables(evening: CommissioningSession) -> None:
-    """Have each cable pulled and plugged again, then look at all that hang on it as at any other time."""
+    """Have each cable pulled and plugged again, then check that its instruments answer as before."""
     for cable in cables(evening):
         present = [one for one in cable.instruments if evening.present(one)]
         first = (present or cable.instruments)[0]
@@ -108,7 +108,7 @@ def _looked_at(evening: CommissioningSession, instrument: Instrument) -> Finding
 
 
 def _look(evening: CommissioningSession, instrument: Instrument) -> Callable[[], object]:
-    """Return what asks an instrument something and changes nothing that a run relies on."""
+    """Return a request to an instrument that changes nothing on which a run relies."""
     if isinstance(instrument, Voltmeter):
         return partial(instrument.configure, quick(evening, instrument))
     if isinstance(instrument, ThermalChamber):
@@ -121,9 +121,9 @@ def _look(evening: CommissioningSession, instrument: Instrument) -> Callable[[],
 
 
 def _loss(evening: CommissioningSession, look: Callable[[], object]) -> tuple[float, str]:
-    """Ask an instrument whose cable is out; return how long it took to tell, s, and what it told ("": nothing).
+    """Call an instrument whose cable is out; return the time until its error, s, and the error ("": none).
 
-    Whatever it raises, the evening goes on: the cable is still out.
+    Any exception is caught, and the session goes on: the cable is still out.
     """
     begun_s, told = evening.time_s(), ""
     try:
@@ -138,7 +138,7 @@ def _loss(evening: CommissioningSession, look: Callable[[], object]) -> tuple[fl
 def _back(
     evening: CommissioningSession, looks: Sequence[Callable[[], object]]
 ) -> tuple[float, BenchError | None]:
-    """Ask until all answer; return how long that took, s, and the last error where one does not."""
+    """Ask until all instruments answer; return the time that took, s, and the last error if one does not."""
     begun_s = evening.time_s()
     while True:
         try:
@@ -157,7 +157,7 @@ BENCH: Final = "bench"
 
 @dataclass(frozen=True)
 class Part:
-    """A part of the evening: what the person is told before it, who takes part, and the checks."""
+    """A part of the session: the message to the person before it, its condition, and its checks."""
 
     title: str
     announced: str
@@ -186,7 +186,7 @@ def _who(evening: CommissioningSession, instrument: Instrument) -> Finding:
 
 
 def _tell_twins(evening: CommissioningSession) -> None:
-    """Say which voltmeters state one serial number."""
+    """Report voltmeters that state the same serial number."""
     for words in same_serials(evening.identities):
         remedy = "compare the serial numbers with those on the instruments, and correct the addresses"
         evening.note(Finding(IDENTITY, BENCH, State.OTHER, words, remedy=remedy))
@@ -247,7 +247,10 @@ PARTS: Final = (
 
 
 def go_through(evening: CommissioningSession) -> None:
-    """Go through all parts that apply. Raises `Ended` where the person ends it, `KeyboardInterrupt`."""
+    """Carry out all parts that apply.
+
+    Raises `SessionEnded` where the person ends the session, and `KeyboardInterrupt`.
+    """
     parts = [part for part in PARTS if part.applies(evening)]
     for number, part in enumerate(parts, start=1):
         try:

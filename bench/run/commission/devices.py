@@ -33,12 +33,12 @@ MOVE: Final = "small move"
 STOP: Final = "stop"
 
 WAY_IN_BACKOFFS: Final = 2.0
-"""A small move is twice the backoff: its end is come to from the demanded side without passing it."""
+"""Length of a small move in backoffs: long enough to reach the target from one side without passing it."""
 STOPPED_AFTER_S: Final = 1.0
-"""The head is stopped so long after it was sent off, by its speed half way."""
+"""Time from the start of the head to its stop, s: at its speed, half of its way."""
 TIME_MARGIN: Final = 2.0
 TIME_MARGIN_S: Final = 2.0
-"""A move may take so much more than its way at its speed: it speeds up, slows down, and is polled."""
+"""Time that a move may take beyond its way at its speed, s: acceleration, braking and polling."""
 MANUAL_WAY_RAD: Final = math.radians(5.0)
 _MOST_LOOKS: Final = 40
 _LOOK_S: Final = 0.25
@@ -46,7 +46,7 @@ _LOOK_S: Final = 0.25
 
 @runtime_checkable
 class Motor(Protocol):
-    """A head with a motor, as far as a stop needs it (`drivers.motion.Axis`); angles in rad."""
+    """A head with a motor, with the functions that a stop needs (`drivers.motion.Axis`); angles in rad."""
 
     name: str
 
@@ -59,11 +59,11 @@ class Motor(Protocol):
         ...
 
     def start(self, target_rad: float) -> None:
-        """Begin to move to an angle."""
+        """Start a motion to an angle."""
         ...
 
     def stop(self) -> None:
-        """Stop the motion where it is."""
+        """Stop the motion at the present angle."""
         ...
 
 
@@ -71,7 +71,10 @@ class Motor(Protocol):
 
 
 def check_limits(evening: CommissioningSession) -> None:
-    """Demand what lies beyond the head's limits while no wire is open: it must be refused, and cannot be sent."""
+    """Demand angles beyond the head's limits; no wire is open, so that nothing can be sent.
+
+    Each demand must be refused.
+    """
     head, form = evening.instruments.head, evening.section(evening.instruments.head.name)
     if isinstance(form, MotorisedHeadForm):
         evening.carry_out(LIMITS, head, partial(_refused_beyond, head, form), opened=False)
@@ -97,9 +100,9 @@ def _refused_beyond(head: DividingHead, form: MotorisedHeadForm) -> Finding:
 
 
 def refuse_or_say(name: str, what: str, demand: Callable[[], object]) -> None:
-    """Make a demand that must be refused; no wire is open, so that nothing can come of it.
+    """Make a demand that must be refused; no wire is open, so that it has no effect.
 
-    Raises `CheckEnded` where it is not refused for the limits.
+    Raises `CheckEnded` where it is not refused because of the limits.
     """
     try:
         demand()
@@ -117,7 +120,7 @@ def refuse_or_say(name: str, what: str, demand: Callable[[], object]) -> None:
 
 
 def check_moves(evening: CommissioningSession) -> None:
-    """Turn the head a little both ways and stop it once on the way, each announced and confirmed."""
+    """Turn the head a little both ways, and stop it once in motion; the person confirms each move."""
     head = evening.instruments.head
     form = evening.section(head.name)
     if isinstance(form, MotorisedHeadForm) and isinstance(head, Motor):
@@ -151,9 +154,9 @@ def _with_motor(
 
 
 def _within(form: MotorisedHeadForm, angle_rad: float) -> float:
-    """Return where the head stands, at a limit where it is beyond it by no more than the tolerance.
+    """Return the head's angle, moved to a limit that it exceeds by no more than the tolerance.
 
-    Raises `CheckEnded` for a head that stands outside, or has no room for a small move.
+    Raises `CheckEnded` for a head outside its limits, or without room for a small move.
     """
     low_rad, high_rad = form.minimum, form.maximum
     room_rad = (WAY_IN_BACKOFFS + 1.0) * form.backoff
@@ -179,7 +182,7 @@ def _moved(
     target_rad: float,
     direction: Direction,
 ) -> Finding:
-    """Move after the person has said that the way is clear."""
+    """Move the head after the person has confirmed that the way is clear; return the finding."""
     first = ""
     if from_rad is not None and getattr(form, "allow_homing", False):
         first = " It may first turn to its reference, beyond any limit: its bench file allows that."
@@ -214,7 +217,7 @@ def _position_rad(head: DividingHead) -> float:
 def _stopped(
     evening: CommissioningSession, motor: Motor, form: MotorisedHeadForm, here_rad: float, side: Direction
 ) -> Finding:
-    """Send the head off and stop it half way; wherever this ends, it was told to stop."""
+    """Start the head and stop it half way; return the finding. After an error the head is stopped, too."""
     room_rad = (form.maximum - here_rad) if side > 0 else (here_rad - form.minimum)
     way_rad = min(max(2.0 * STOPPED_AFTER_S * form.speed, form.backoff), room_rad)
     target_rad = here_rad + side * way_rad
@@ -253,7 +256,7 @@ def _stopped(
 
 
 def _at_rest(evening: CommissioningSession, motor: Motor, form: MotorisedHeadForm) -> float:
-    """Wait until two looks show the same angle; return it. Raises `CheckEnded` for a head that goes on turning."""
+    """Return the angle when two successive readings agree. Raises `CheckEnded` for a head still turning."""
     before_rad = motor.position_rad()
     for _ in range(_MOST_LOOKS):
         evening.clock.sleep(_LOOK_S)
@@ -272,7 +275,7 @@ def _at_rest(evening: CommissioningSession, motor: Motor, form: MotorisedHeadFor
 
 
 def _by_hand(evening: CommissioningSession, head: DividingHead) -> None:
-    """Have a person turn the head a little both ways and type what its scale shows."""
+    """Have a person turn the head a little both ways and type the angles on its scale."""
     ways: tuple[tuple[float, Direction], ...] = ((2.0 * MANUAL_WAY_RAD, 1), (MANUAL_WAY_RAD, -1))
     for number, (target_rad, direction) in enumerate(ways, start=1):
         evening.carry_out(MOVE, head, partial(_turned, head, target_rad, direction, number))
@@ -288,11 +291,11 @@ def _turned(head: DividingHead, target_rad: float, direction: Direction, number:
 READ: Final = "temperature"
 STANDBY: Final = "standby"
 BEYOND_K: Final = 1.0
-"""By so much the demands that must be refused lie beyond the limits."""
+"""Distance of the chamber's demands beyond the limits, K; they must be refused."""
 
 
 def check_chamber_limits(evening: CommissioningSession) -> None:
-    """Demand what lies beyond the chamber's limits while no wire is open."""
+    """Demand temperatures beyond the chamber's limits while no wire is open; each must be refused."""
     chamber = evening.instruments.chamber
     if chamber is None:
         return
@@ -344,7 +347,7 @@ BLOCK: Final = "temperature of the block"
 
 
 def check_level(evening: CommissioningSession) -> None:
-    """Read the level in two positions half a turn apart: its zero, and how the platform stands."""
+    """Read the level in two positions half a turn apart: they give its zero and the platform's tilt."""
     level = evening.instruments.level
     if level is not None:
         head = evening.instruments.head
@@ -394,11 +397,11 @@ def _temperature(thermometer: Thermometer) -> Finding:
 
 OUTPUTS: Final = "outputs"
 BEYOND_V: Final = 1.0
-"""By so much the settings that must be refused lie beyond the limits."""
+"""Distance of the supply's settings beyond the limits, V; they must be refused."""
 
 
 def check_supply_limits(evening: CommissioningSession) -> None:
-    """Demand what lies beyond the limits of each output while no wire is open."""
+    """Demand settings beyond the limits of each output while no wire is open; each must be refused."""
     supply = evening.instruments.power_supply
     if supply is None:
         return
@@ -421,7 +424,7 @@ def _voltage_refused_beyond(supply: PowerSupply, limits: SupplyLimits) -> Findin
 
 
 def check_outputs(evening: CommissioningSession) -> None:
-    """Read how every output is."""
+    """Read the state of every output."""
     supply = evening.instruments.power_supply
     if supply is not None:
         evening.carry_out(OUTPUTS, supply, partial(_read_outputs, supply))

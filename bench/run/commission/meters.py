@@ -1,4 +1,4 @@
-"""Checks of the voltmeters: settings, time of a reading, simultaneity, noise with shorted inputs."""
+"""Checks of the voltmeters: settings, time of a reading, simultaneity, and noise with shorted inputs."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ NOISE: Final = "noise, inputs shorted"
 TIMED_SAMPLES: Final = 10
 NOISE_SAMPLES: Final = 30
 SLOW_NPLC: Final = 10.0
-"""The longest integration that is tried: readings of a calibration seldom take more."""
+"""Longest integration that is tried; readings of a calibration seldom use more."""
 TIME_MARGIN: Final = 1.05
 TIME_MARGIN_S: Final = 0.25
-"""A reading may take so much more than its samples: the commands around it pass over the wire, too."""
+"""Time that a reading may take beyond its samples, s: commands pass over the wire, too."""
 START_PART: Final = 0.1
-"""Meters started within this part of a reading sample the same signal."""
+"""Greatest part of a reading by which the meters' starts may differ: they then sample the same signal."""
 SIGNIFICANCE: Final = 1e-3
-"""A meter within its bounds is said to be outside by chance so often, a channel."""
+"""Probability, for each channel, that a meter within its limits is reported as outside by chance."""
 
 
 @runtime_checkable
 class _Timed(Protocol):
-    """A voltmeter whose driver knows how long a reading takes."""
+    """A voltmeter whose driver states the duration of a reading."""
 
     def reading_time_s(self, settings: VoltmeterSettings, character_time_s: float = 0.0) -> float:
         """Return the time from the start until the last character of the readings has come, s."""
@@ -45,7 +45,7 @@ class _Timed(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TimingSpread:
-    """How far within one set the starts of the meters lie apart, and the arrivals of their readings, s."""
+    """The spread of the meters' starts within one set, and of the arrivals of their readings, s."""
 
     starts_s: float
     ends_s: float
@@ -55,7 +55,7 @@ class TimingSpread:
 
 
 def quick(evening: CommissioningSession, meter: Voltmeter) -> VoltmeterSettings:
-    """Return short settings for a look at a meter."""
+    """Return short settings, for a request to a meter."""
     return _settings(evening, meter, QUICK_NPLC, evening.file.least_samples)
 
 
@@ -67,7 +67,7 @@ def slow(evening: CommissioningSession, meter: Voltmeter, samples: int) -> Voltm
 def _settings(
     evening: CommissioningSession, meter: Voltmeter, nplc: float, samples: int
 ) -> VoltmeterSettings:
-    """Return settings that all meters can have, or at least this one."""
+    """Return the settings for an integration time that all meters support, or at least this one."""
     has = evening.file.nplc_supported or _form(evening, meter).kind.limits.nplc
     near = [one for one in has if one <= nplc] or [min(has)]
     few, many = evening.file.least_samples, evening.file.most_samples
@@ -75,7 +75,7 @@ def _settings(
 
 
 def check_settings(evening: CommissioningSession) -> None:
-    """Set every meter up in two ways; the driver reads back each time what it has set."""
+    """Set every meter up in two ways; each time the driver reads the settings back."""
     for meter in evening.instruments.voltmeters:
         evening.carry_out(SETTINGS, meter, partial(_set_twice, evening, meter))
 
@@ -94,7 +94,7 @@ def _set_twice(evening: CommissioningSession, meter: Voltmeter) -> Finding:
 
 
 def check_time(evening: CommissioningSession) -> None:
-    """Take a reading of each meter alone, and hold its time against what the driver expects."""
+    """Take a reading of each meter alone, and compare its duration with the driver's expectation."""
     for meter in evening.instruments.voltmeters:
         evening.carry_out(TIME, meter, partial(_timed, evening, meter), by_answers=False)
 
@@ -124,7 +124,7 @@ def _judged_by_time(
     found: Finding,
     took_s: float,
 ) -> Finding:
-    """Return a finding with how long the reading took; one that took longer than expected is slower."""
+    """Return a finding with the duration of its reading; a longer one than expected is `State.SLOWER`."""
     expected_s = expected_time_s(evening, meter, settings)
     held = "the driver does not say" if expected_s is None else f"the driver expects {expected_s:.3g} s"
     figures = (*found.figures, Figure("reading took", took_s, "s", held))
@@ -141,7 +141,7 @@ def _judged_by_time(
 def expected_time_s(
     evening: CommissioningSession, meter: Voltmeter, settings: VoltmeterSettings
 ) -> float | None:
-    """Return how long the driver expects a reading to take, s; None where it does not say."""
+    """Return the duration of a reading that the driver expects, s; None where it states none."""
     if not isinstance(meter, _Timed):
         return None
     section = _form(evening, meter)
@@ -150,7 +150,7 @@ def expected_time_s(
 
 
 def _character_s(serial: Mapping[str, object] | None) -> float:
-    """Return how long a character takes on a serial line, start bit included, s; none on another wire."""
+    """Return the time of a character on a serial line, start bit included, s; 0 on another wire."""
     if serial is None:
         return 0.0
     bits = 1 + int(str(serial["data_bits"])) + (serial["parity"] != "none") + int(str(serial["stop_bits"]))
@@ -161,7 +161,7 @@ def _character_s(serial: Mapping[str, object] | None) -> float:
 
 
 def check_together(evening: CommissioningSession) -> None:
-    """Start all meters as a run does, and see how far apart they begin and end."""
+    """Start all meters as a run does, and measure the spread of their starts and ends."""
     meters = [meter for meter in evening.instruments.voltmeters if evening.present(meter)]
     if not meters:
         return
@@ -216,7 +216,7 @@ def _one_set(evening: CommissioningSession, meters: Sequence[Voltmeter]) -> Timi
 
 
 def check_noise(evening: CommissioningSession) -> None:
-    """Have the inputs shorted; hold mean and scatter of each channel against the data sheet's limits."""
+    """Have the inputs shorted; compare mean and scatter of each channel with the data sheet's limits."""
     evening.confirm(
         "Take the signals off the voltmeters and short their inputs, HI to LO, with copper and no longer than "
         "needed; wait two minutes. Are all inputs shorted?",
@@ -258,11 +258,11 @@ def _noise(evening: CommissioningSession, meter: Voltmeter) -> Finding:
 def _of_channel(
     channel: Channel, values: Sequence[float], limit_v: float, stated_v: float, sigma_v: float
 ) -> tuple[list[Figure], list[str]]:
-    """Return mean and standard deviation of a channel, and what is wrong with them.
+    """Return the mean and the standard deviation of a channel, and the limits that they exceed.
 
-    The mean may lie within the larger of the two limits and three standard deviations of itself. The standard
-    deviation `s` of `n` samples is too large where (n - 1) s² / sigma² is beyond what chi-square with n - 1
-    degrees of freedom exceeds with the probability `SIGNIFICANCE`.
+    The mean may differ from zero by the larger of the two limits plus three standard deviations of the mean.
+    The standard deviation `s` of `n` samples is too large where (n - 1) s² / sigma² exceeds the chi-square
+    quantile with n - 1 degrees of freedom for the probability `SIGNIFICANCE`.
     """
     n = len(values)
     mean_v, s_v = float(np.mean(values)), float(np.std(values, ddof=1)) if n > 1 else 0.0
@@ -282,7 +282,7 @@ def _of_channel(
 
 
 def largest_scatter_v(sigma_v: float, n: int) -> float:
-    """Return up to where the standard deviation of `n` samples may lie when theirs is `sigma_v`, V."""
+    """Return the greatest standard deviation that chance allows `n` samples with `sigma_v`, V."""
     from scipy.stats import chi2
 
     return sigma_v * math.sqrt(float(chi2.isf(SIGNIFICANCE, n - 1)) / (n - 1)) if n > 1 else sigma_v
@@ -295,9 +295,9 @@ def zero_limit_v(evening: CommissioningSession, meter: Voltmeter) -> float:
 
 
 def scatter_limit_v(evening: CommissioningSession, meter: Voltmeter, nplc: float) -> float:
-    """Return the standard deviation that a sample of a steady input may have, V: the maker's resolution.
+    """Return the permitted standard deviation of a sample of a steady input, V: the maker's resolution.
 
-    Where the facts do not state it, the limit of error at zero.
+    If the meter's data state no resolution, return the limit of error at zero.
     """
     resolution = _form(evening, meter).kind.resolution
     within = [part for least, part in resolution.items() if least <= nplc]

@@ -1,4 +1,4 @@
-"""A commissioning session: bench, person, wires, and how a check becomes a finding."""
+"""A commissioning session: bench, person and wires, and the findings of its checks."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ from drivers.person import Action, Answer, Person, Prompt, PromptKind
 
 
 class State(StrEnum):
-    """How an instrument did in one check."""
+    """The result of one check of an instrument."""
 
     WORKS = "works"
     SLOWER = "slower"
-    """It works, but later than its driver expects."""
+    """The instrument works, but more slowly than its driver expects."""
     OTHER = "other"
-    """It answers, otherwise than its driver or its data sheet has it."""
+    """The instrument answers, but not as its driver or its data sheet says."""
     COULD_NOT = "could not"
     """The check could not be carried out."""
     SKIPPED = "skipped"
-    """The person left it out; the reason is on record."""
+    """The person left the check out; the reason is on record."""
 
 
 DONE, NOT_AS_EXPECTED, NOT_DONE = 0, 1, 2
-"""Exit status by the worst that was found."""
+"""Exit statuses, by the worst finding."""
 
 _STATUS: Final = {State.SLOWER: NOT_AS_EXPECTED, State.OTHER: NOT_AS_EXPECTED, State.COULD_NOT: NOT_DONE}
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A number that was measured, in `unit`, and in words what it was held against."""
+    """A measured number in `unit`, and in words the value with which it was compared."""
 
     what: str
     value: float
@@ -58,14 +58,17 @@ class Figure:
 
     @property
     def text(self) -> str:
-        """The figure as a person reads it."""
+        """The figure as text for a person."""
         held = f" ({self.expected})" if self.expected else ""
         return f"{self.what} {self.value:.4g} {self.unit}".rstrip() + held
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One check of one instrument; `said` is a clause without its name, `remedy` what is to be done."""
+    """The result of one check of one instrument.
+
+    `said` is a clause without the instrument's name, `remedy` the action to take.
+    """
 
     check: str
     instrument: str
@@ -76,25 +79,29 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """What was found, in one line."""
+        """The finding in one line."""
         remedy = f"; {self.remedy}" if self.remedy else ""
         return f"{self.instrument}: {self.check}: {self.said}{remedy}"
 
 
 def status_of(findings: Sequence[Finding], *, whole: bool) -> int:
-    """Return the exit status: 2 where something could not be done or it was not gone through whole, 1, or 0."""
+    """Return the exit status.
+
+    It is 2 where a check could not be done or the session was not completed, 1 after other deviations, 0
+    otherwise.
+    """
     if not whole or not findings:
         return NOT_DONE
     return max(_STATUS.get(finding.state, DONE) for finding in findings)
 
 
 Wire = Callable[[str, str, str], None]
-"""A wire log as a message session takes it: instrument, `>` sent, `<` received or `!` failed, the text."""
+"""A wire log: called with the instrument, the direction (`>` sent, `<` received, `!` failed) and the text."""
 
 
 @dataclass(frozen=True, slots=True)
 class TimedExchange:
-    """A command and how long its answer took, s."""
+    """A command and the time until its answer, s."""
 
     instrument: str
     command: str
@@ -102,7 +109,7 @@ class TimedExchange:
 
 
 class WireWatch:
-    """A `Wire` that notes exchanges and failures and passes everything on; `time_s` is the clock it goes by."""
+    """A `Wire` that notes exchanges and failures and passes everything on; `time_s` is its clock."""
 
     def __init__(self, log: Wire | None, time_s: Callable[[], float] | None = None) -> None:
         self.time_s = time_s or SystemClock().now_s
@@ -112,7 +119,7 @@ class WireWatch:
         self._failures: list[tuple[str, str]] = []
 
     def __call__(self, instrument: str, direction: str, text: str) -> None:
-        """Take one message."""
+        """Note one message and pass it on."""
         now_s = self.time_s()
         if direction == ">":
             self._sent[instrument] = (text, now_s)
@@ -126,7 +133,7 @@ class WireWatch:
             self._log(instrument, direction, text)
 
     def mark(self) -> tuple[int, int]:
-        """Return the place up to which all was seen."""
+        """Return the number of exchanges and of failures so far."""
         return len(self._exchanges), len(self._failures)
 
     def exchanges(self, mark: tuple[int, int], instrument: str) -> list[TimedExchange]:
@@ -134,7 +141,7 @@ class WireWatch:
         return [one for one in self._exchanges[mark[0] :] if one.instrument == instrument]
 
     def failures(self, mark: tuple[int, int], instrument: str) -> list[str]:
-        """Return what failed on an instrument's wire since a mark."""
+        """Return the failures on an instrument's wire since a mark."""
         return [text for name, text in self._failures[mark[1] :] if name == instrument]
 
 
@@ -142,25 +149,25 @@ WISHES: Final = {
     Wish.SKIP: "leave this out; the reason goes into the page",
     Wish.ABORT: "end here; the bench is left safe and the page written",
 }
-"""What may be typed at any question, and what it does."""
+"""Wishes that may be typed at any question, with their effects."""
 ONLY_THESE: Final = "Here only :skip REASON and :abort are heard. "
 MOST_LOSSES: Final = 2
-"""An instrument that was lost in so many checks is not tried any more: each costs its timeouts."""
+"""Number of checks that may lose an instrument before it is tried no more: each loss costs its timeouts."""
 SLOW_PART: Final = 0.5
-"""An answer that takes more of its timeout than this leaves too little in hand."""
+"""Greatest part of its timeout that an answer may take; beyond this the reserve is too small."""
 _CHECK_WIRE: Final = "check cable and power; the wire log shows at which command"
 
 
 class Skipped(Exception):
-    """The person leaves a check out; the text says why."""
+    """The person leaves a check out; the text is the reason."""
 
 
 class SessionEnded(Exception):
-    """The person, or the end of the answers, ends the evening; the text says why."""
+    """The person, or the end of the answers, ends the session; the text is the reason."""
 
 
 class CheckEnded(Exception):
-    """A check ends here, with a finding of its own."""
+    """A check ends here with its finding."""
 
     def __init__(self, finding: Finding) -> None:
         super().__init__(finding.said)
@@ -168,13 +175,13 @@ class CheckEnded(Exception):
 
 
 class CommissioningPerson:
-    """A `Person` whose wishes mean something here: `Skipped` for :skip REASON, `SessionEnded` for :abort."""
+    """A `Person` for commissioning: raises `Skipped` for :skip REASON, `SessionEnded` for :abort."""
 
     def __init__(self, person: Person) -> None:
         self._person = person
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Put the prompt; again, with what is heard, where another wish is typed."""
+        """Put the prompt; after any other wish, name those that are heard and put it again."""
         put = prompt
         while True:
             try:
@@ -189,11 +196,11 @@ class CommissioningPerson:
 
 @dataclass
 class CommissioningSession:
-    """A bench that is commissioned.
+    """A commissioning session on a bench, with its findings.
 
-    `time_s` is by which durations are measured: the bench's clock, on a simulated one with the time that the
-    wires take on the computer. `connections` tells of each wired instrument the number of its connection (None:
-    there is none), `tell` shows a line.
+    `time_s` measures durations: the bench's clock; on a simulated bench plus the computer's time for the
+    wires. `connections` returns the number of the present connection of each wired instrument (None: not
+    connected). `tell` shows a line.
     """
 
     file: BenchFile
@@ -217,14 +224,14 @@ class CommissioningSession:
         return next(section for section in self.file.instruments.all() if section.name == name)
 
     def timeout_s(self, name: str) -> float:
-        """Return how long a reply may take, s; none for what a person works."""
+        """Return the timeout of a reply, s; 0 for an instrument worked by hand."""
         section = self.section(name)
         return section.timeout if isinstance(section, WiredForm) else 0.0
 
     # --- the person ---------------------------------------------------------------------------------
 
     def confirm(self, text: str, *, default: str | None = None, action: Action | None = None) -> None:
-        """Have the person confirm. Raises `Skipped`, `SessionEnded`, `BenchError` where it is refused."""
+        """Have the person confirm. Raises `Skipped`, `SessionEnded`, `BenchError` after a refusal."""
         self._prompts += 1
         prompt = Prompt(
             f"commission/{self._prompts}",
@@ -241,7 +248,7 @@ class CommissioningSession:
     # --- checks -------------------------------------------------------------------------------------
 
     def note(self, finding: Finding) -> None:
-        """Keep a finding, and show it."""
+        """Store a finding and show it."""
         self.findings.append(finding)
         self.tell(f"{finding.state.value:>9}  {finding.sentence}")
 
@@ -256,11 +263,11 @@ class CommissioningSession:
         by_wire: bool = True,
         opened: bool = True,
     ) -> Finding:
-        """Carry out one check of one instrument and keep what it finds, whatever it raises.
+        """Carry out one check of one instrument; return and store its finding, also after an exception.
 
-        `also` are others that take part in it; `by_answers` has the time of single answers judged as well,
-        `by_wire` what else the wires show; without `opened` none is needed. Raises `SessionEnded` and
-        `KeyboardInterrupt` alone.
+        `also` are further instruments in the check. `by_answers` judges the time of single answers as well,
+        `by_wire` other faults on the wires. If `opened` is False, the check needs no open instrument. Raises
+        `SessionEnded` and `KeyboardInterrupt` alone.
         """
         name = instrument.name
         if not self.present(instrument):
@@ -277,7 +284,7 @@ class CommissioningSession:
         return found
 
     def present(self, instrument: Instrument) -> bool:
-        """Whether an instrument is still tried."""
+        """Return whether an instrument is still tried; one lost in too many checks is not."""
         return self._losses.get(instrument.name, 0) < MOST_LOSSES
 
     def _found(
@@ -308,7 +315,7 @@ class CommissioningSession:
             return Finding(check, name, State.OTHER, cause, remedy="report it with the wire log")
 
     def _open(self, instrument: Instrument) -> None:
-        """Open an instrument; one that refuses to be opened counts as lost, too. Raises `BenchError`."""
+        """Open an instrument; one that refuses counts as lost, too. Raises `BenchError`."""
         try:
             self.identities[instrument.name] = instrument.open()
         except InstrumentLost:
@@ -321,7 +328,7 @@ class CommissioningSession:
         self._losses[name] = self._losses.get(name, 0) + 1
 
     def _of_error(self, check: str, name: str, state: State, error: BenchError) -> Finding:
-        """Return the finding of an error, of the instrument that raised it."""
+        """Return the finding for an error; it belongs to the instrument that raised the error."""
         known = error.instrument in {one.name for one in self.instruments.all()}
         about = "" if known else f"{error.instrument}: "
         remedy = "; ".join((error.remedy, *getattr(error, "__notes__", ())))
@@ -336,7 +343,7 @@ class CommissioningSession:
     def _with_wire(
         self, found: Finding, name: str, mark: tuple[int, int], before: int | None, by_answers: bool
     ) -> Finding:
-        """Return a finding with what a wire showed: failures that the driver mended, answers that came late."""
+        """Return a finding with faults on a wire: failures that the driver overcame, and late answers."""
         failures, after = self.watch.failures(mark, name), self._connection(name)
         if failures:
             said = f"{found.said}, but its wire failed on the way ({failures[0]})"
