@@ -79,7 +79,7 @@ def prior(
     json: JsonOption = None,
 ) -> int:
     """Estimate a prior for a new unit from calibrated units of its type, for 'bench calibrate --prior'."""
-    from bench.history.bench_or_block import prior_of
+    from bench.history.prior import prior_of
     from bench.results.fleet import print_prior, prior_result
 
     printing.check_target(json)
