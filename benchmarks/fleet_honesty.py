@@ -19,7 +19,7 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.history.comparison import SECONDS_PER_YEAR
 from bench.history.drift import history_drift
-from bench.history.equivalence import STANDARD_GRAVITY, ComparedCalibrations
+from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations
 from bench.history.prior import join, prior_of
 from benchmarks.campaign import Share, arguments, rms_told
 

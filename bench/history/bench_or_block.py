@@ -10,7 +10,7 @@ from scipy import special
 
 from bench.base.arrays import Floats, Ints, Labels, rms, u_of
 from bench.calibration.result import CalibrationError
-from bench.history.equivalence import ComparedCalibrations, coded
+from bench.history.measured import ComparedCalibrations, coded
 from bench.model.geometry import COEFFICIENTS
 from bench.stats import holm
 from bench.stats.crossed_effects import (

@@ -16,7 +16,7 @@ from scipy import special
 
 from bench.base.arrays import Floats, Ints, u_of
 from bench.calibration.result import CalibrationError
-from bench.history.equivalence import STANDARD_GRAVITY, ComparedCalibrations, coded
+from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded
 from bench.model.geometry import COEFFICIENTS
 
 LEAST_UNITS: Final = 6

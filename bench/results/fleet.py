@@ -15,8 +15,8 @@ from bench.base.numbers import MINUS, fixed, places, quantity
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import table
 from bench.calibration.conformity import COVERAGE_FACTOR
-from bench.history import bench_or_block, drift, equivalence, prior
-from bench.history.equivalence import STANDARD_GRAVITY
+from bench.history import bench_or_block, capability, drift, prior
+from bench.history.measured import STANDARD_GRAVITY
 from bench.model.geometry import COEFFICIENTS
 from bench.results.parts import ValuePart, by_coefficient, print_notes
 
@@ -406,7 +406,7 @@ class CapabilityResult(FleetResult):
     coefficients: dict[str, CapabilityPart] = Field(description="by name")
 
 
-def capability_result(found: equivalence.Capability, notes: Sequence[str]) -> CapabilityResult:
+def capability_result(found: capability.Capability, notes: Sequence[str]) -> CapabilityResult:
     """Return the statement of capability, as `--json` writes it."""
     columns: dict[str, Iterable[Any]] = {
         "U": found.U,
