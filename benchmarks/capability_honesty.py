@@ -14,7 +14,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bench.history.equivalence import YEAR, ComparedCalibrations, capability
+from bench.history.capability import YEAR, capability
+from bench.history.measured import ComparedCalibrations
 from bench.stats.crossed_effects import EXCESS, Crossing, fit
 from bench.stats.unit_histories import CalibrationSpread
 from benchmarks.campaign import Share, arguments

@@ -17,10 +17,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.history.bench_or_block import join, prior_of
 from bench.history.comparison import SECONDS_PER_YEAR
 from bench.history.drift import history_drift
-from bench.history.equivalence import STANDARD_GRAVITY, ComparedCalibrations
+from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations
+from bench.history.prior import join, prior_of
 from benchmarks.campaign import Share, arguments, rms_told
 
 FIRST = np.datetime64("2020-01-01", "s")

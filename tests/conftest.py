@@ -31,8 +31,8 @@ class Session:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Return the workers of `-n auto`: one more than cores, since campaigns on wires mostly wait."""
-    return (os.cpu_count() or 1) + 1
+    """Return the workers of `-n auto`: two for each core, since tests on wires and processes mostly wait."""
+    return 2 * (os.cpu_count() or 1)
 
 
 def pytest_configure() -> None:

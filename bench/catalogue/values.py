@@ -16,14 +16,8 @@ from bench.calibration.result import CalibrationError
 from bench.catalogue.questions import condition_of
 from bench.catalogue.store import CALIBRATIONS, RUNS, Catalogue
 from bench.history.comparison import Snapshot
-from bench.history.equivalence import (
-    STANDARD_GRAVITY,
-    BenchComparison,
-    ComparedCalibrations,
-    coded,
-    compare_benches,
-    to_standard_gravity,
-)
+from bench.history.equivalence import BenchComparison, compare_benches
+from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded, to_standard_gravity
 from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import snapshots_in
 from bench.services.errors import Refused

@@ -14,7 +14,7 @@ from bench.services.requests.history import Capability, CompareBenches, DriftOfU
 
 if TYPE_CHECKING:
     from bench.catalogue.values import CoefficientTable
-    from bench.history.equivalence import ComparedCalibrations
+    from bench.history.measured import ComparedCalibrations
 
 GROUP: Final = typer.Typer(
     name="fleet",
@@ -79,7 +79,7 @@ def prior(
     json: JsonOption = None,
 ) -> int:
     """Estimate a prior for a new unit from calibrated units of its type, for 'bench calibrate --prior'."""
-    from bench.history.bench_or_block import prior_of
+    from bench.history.prior import prior_of
     from bench.results.fleet import print_prior, prior_result
 
     printing.check_target(json)
@@ -118,7 +118,7 @@ def drift(request: DriftOfUnit, json: JsonOption = None) -> int:
 @requested
 def cmc(request: Capability, json: JsonOption = None) -> int:
     """The laboratory's calibration and measurement capability, from its history (ILAC-P14)."""
-    from bench.history.equivalence import capability
+    from bench.history.capability import capability
     from bench.results.fleet import capability_result, print_capability
 
     printing.check_target(json)

@@ -15,7 +15,7 @@ from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
 from bench.history.comparison import LEAST_FOR_DRIFT, LEAST_SPAN, SECONDS_PER_YEAR
-from bench.history.equivalence import ComparedCalibrations
+from bench.history.measured import ComparedCalibrations
 
 Dates = NDArray[np.datetime64]
 

@@ -15,7 +15,8 @@ from bench.base.result_model import Real, ResultModel
 from bench.base.tables import table
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.history.comparison import Changes, Comparison, DriftLines, Snapshot
-from bench.history.equivalence import STANDARD_GRAVITY, BenchComparison
+from bench.history.equivalence import BenchComparison
+from bench.history.measured import STANDARD_GRAVITY
 from bench.model.geometry import COEFFICIENTS
 from bench.results.fleet import MOST_SHOWN, FleetResult, limit_in_words, signed_size
 from bench.results.parts import BenchPart, by_coefficient, print_notes

@@ -15,8 +15,8 @@ from bench.base.numbers import MINUS, fixed, places, quantity
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import table
 from bench.calibration.conformity import COVERAGE_FACTOR
-from bench.history import bench_or_block, drift, equivalence
-from bench.history.equivalence import STANDARD_GRAVITY
+from bench.history import bench_or_block, capability, drift, prior
+from bench.history.measured import STANDARD_GRAVITY
 from bench.model.geometry import COEFFICIENTS
 from bench.results.parts import ValuePart, by_coefficient, print_notes
 
@@ -236,7 +236,7 @@ class PriorResult(FleetResult):
     covariance: Matrix = Field(description="of a further unit, twelve by twelve")
 
 
-def prior_result(found: bench_or_block.Prior, notes: Sequence[str]) -> PriorResult:
+def prior_result(found: prior.Prior, notes: Sequence[str]) -> PriorResult:
     """Return what is expected of a further unit, as `--json` and the file of the prior have it."""
     return PriorResult.from_object(
         found,
@@ -406,7 +406,7 @@ class CapabilityResult(FleetResult):
     coefficients: dict[str, CapabilityPart] = Field(description="by name")
 
 
-def capability_result(found: equivalence.Capability, notes: Sequence[str]) -> CapabilityResult:
+def capability_result(found: capability.Capability, notes: Sequence[str]) -> CapabilityResult:
     """Return the statement of capability, as `--json` writes it."""
     columns: dict[str, Iterable[Any]] = {
         "U": found.U,

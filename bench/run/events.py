@@ -242,11 +242,10 @@ def result_from_json(data: Mapping[str, Any]) -> Result | None:
     """
     if "reading" in data:
         return Reading.from_json(data["reading"] | {"samples": {}})
-    for kind, names in _fields().items():
-        values: dict[str, Any] = {name: data[name] for name in names if name in data}
-        if values:
-            return kind(**values)
-    return None
+    brought = {kind: {n: data[n] for n in names if n in data} for kind, names in _fields().items()}
+    # kinds may have a field in common: the one that accounts for the most is meant
+    kind, values = max(brought.items(), key=lambda one: len(one[1]))
+    return kind(**values) if values else None
 
 
 # --- events -----------------------------------------------------------------------------------------

@@ -23,8 +23,8 @@ from bench.calibration.result import COVERAGE_FACTOR, Calibration, CalibrationEr
 from bench.calibration.temperature import separate_temperatures
 from bench.config.bench_file.learned import PriorFile, load_prior
 from bench.exchange.result import BlockResult
-from bench.history.bench_or_block import CONFLICT_P, Prior, join
-from bench.history.equivalence import STANDARD_GRAVITY
+from bench.history.measured import STANDARD_GRAVITY
+from bench.history.prior import CONFLICT_P, Prior, join
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.results.calibration import (
     PriorPart,

@@ -18,9 +18,7 @@ from bench.run.folder import BENCH, IMPORTED, RESULTS, Run, checked_name
 from bench.run.interrupts import Interrupts
 from bench.run.record import Record
 from bench.services.bench_selection import SUFFIX, BenchTaken, bench_of, is_told, origin_beside, own_bench
-from bench.services.bodies import told_in_words
 from bench.services.calibration import CalibrationResult, calibration_of, report_page
-from bench.services.check_block import chart_of, check_block_runs, is_check_block
 from bench.services.errors import Refused
 from bench.services.records import versions
 from bench.services.source import Request, Source, load_sources
@@ -102,6 +100,8 @@ def conclude(run: Run) -> Conclusion:
             f"{error.filename}: cannot be written ({error.strerror}); the run is finished and kept: free the disk, "
             f"then 'bench resume {run.name}' makes its results"
         ) from error
+    from bench.services.bodies import told_in_words  # takes long to import
+
     return Conclusion(run, source, tuple(told_in_words(run)), is_short(run), **found)
 
 
@@ -124,7 +124,11 @@ def charted(run: Run) -> dict[str, Any]:
     """Return the chart of a run of the check block as members of a `Conclusion`; none for any other run."""
     bench, path = own_bench(run)
     unit = run.manifest.get("unit_under_test")
-    if bench.check_block is None or unit is None or not is_check_block(bench, unit):
+    if bench.check_block is None or unit is None:
+        return {}
+    from bench.services.check_block import chart_of, check_block_runs, is_check_block  # takes long to import
+
+    if not is_check_block(bench, unit):
         return {}
     runs = check_block_runs(bench, run.folder.parent, simulated=run.simulated)
     try:

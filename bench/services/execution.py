@@ -58,7 +58,6 @@ from bench.run.sentences import TERMINAL, RunLog, sentence
 from bench.run.terminal import ProgressBar, TerminalPerson
 from bench.run.workbench import BenchSetup
 from bench.services.bench_selection import bench_for_record, bench_path, why_taken
-from bench.services.check_block import checked_before
 from bench.services.errors import Refused
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record, simulated_truth
 from bench.services.records import versions
@@ -157,6 +156,8 @@ def new_run(request: RunRequest) -> NewRun:
     notes += noted_goals(manifest, plan, file, request.until or ())
     despite = request.despite_check
     if request.check_block or despite is not None or (file.check_block is not None and not dry_run):
+        from bench.services.check_block import checked_before  # takes long to import
+
         notes += checked_before(manifest, file, bench_file_path, runs, despite)
     return NewRun(runs / name, manifest, inputs, notes)
 

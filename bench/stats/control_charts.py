@@ -17,7 +17,7 @@ from functools import cache
 from typing import Any, Final, Literal
 
 import numpy as np
-from scipy import optimize, signal, special, stats
+from scipy import optimize, signal, special
 
 from bench.base.arrays import Floats, u_of
 from bench.base.computing import CalibrationError
@@ -47,6 +47,8 @@ def ewma_arl(smoothing: float, k: float, shift: float = 0.0) -> float:
 
     def kernel(start: Floats) -> Floats:
         value = (places - (1.0 - smoothing) * start[:, None]) / smoothing - shift
+        from scipy import stats  # takes long to import
+
         return np.asarray(weights * stats.norm.pdf(value) / smoothing)
 
     lengths = np.linalg.solve(np.eye(NODES) - kernel(places), np.ones(NODES))
@@ -67,6 +69,8 @@ def mewma_arl(smoothing: float, limit: float, dimensions: int) -> float:
 
     def kernel(start: Floats) -> Floats:
         from_there = (start[:, None] * (1.0 - smoothing) / smoothing) ** 2
+        from scipy import stats  # takes long to import
+
         density = stats.ncx2.pdf((places / smoothing) ** 2, dimensions, from_there)
         return np.asarray(weights * 2.0 * places / smoothing**2 * density)
 

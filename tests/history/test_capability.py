@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from bench.calibration.result import CalibrationError
-from bench.history.bench_or_block import join, prior_of
-from bench.history.equivalence import STANDARD_GRAVITY, YEAR, ComparedCalibrations, capability
+from bench.history.capability import YEAR, capability
+from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations
+from bench.history.prior import join, prior_of
 from bench.results.fleet import capability_result
 from bench.stats import unit_histories
 from bench.stats.crossed_effects import EXCESS, Crossing, fit

@@ -155,8 +155,10 @@ class OperatorTimeSection(FileModel):
 Steps = Annotated[tuple["StepEntry", ...], Field(min_length=1)]
 DirectionWord = Literal["rising", "falling"]
 
-VERBS: Final = ("installation", "repeat", "turn", "read", "input", "wait", "settle", "prompt", "temperature",
-                "temperatures", "level", "power", "include")  # fmt: skip
+VERBS: Final = (
+    "installation", "repeat", "turn", "read", "input", "wait", "settle", "prompt", "temperature", "temperatures",
+    "level", "power", *(kind.NAME for kind in KINDS if kind.VERB is not None), "include",
+)  # fmt: skip
 _TURN_RAD: Final = math.tau + 1e-9
 
 

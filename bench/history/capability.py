@@ -1,0 +1,163 @@
+"""Calibration and measurement capability from a laboratory's history, drift of units taken out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy import stats
+
+from bench.base.arrays import Floats
+from bench.calibration.conformity import COVERAGE_FACTOR
+from bench.calibration.result import CalibrationError
+from bench.history.measured import ComparedCalibrations, coded
+from bench.model.geometry import COEFFICIENTS
+from bench.stats.crossed_effects import Crossing
+from bench.stats.unit_histories import CalibrationSpread, Histories, Within, histories, spread_of
+
+EVERYDAY: Final = 0.5
+"""The share of everyday calibrations that reach what is stated."""
+
+
+CONFIDENCE: Final = 0.95
+
+
+LEAST_CALIBRATIONS: Final = 20
+
+
+LEAST_REPEATS: Final = 10
+"""With so many degrees of freedom a standard deviation is known to 22 %."""
+
+
+LEAST_DAYS: Final = 180
+
+
+LEAST_RUNS: Final = 3
+"""Of a unit; fewer tell nothing of its drift."""
+
+
+YEAR: Final = np.timedelta64(31_557_600, "s")
+
+
+@dataclass(frozen=True)
+class Capability:
+    """The capability, (12,) each: `stated` u at the share `quantile` with its limit `stated_most` of 95 %.
+
+    `spreads` (12 items) has the scatter of calibrations of a unit in excess of what is stated, what benches differ
+    by and what units drift by. `below` counts calibrations whose stated U is below the capability: their
+    certificates are to state the latter.
+    """
+
+    quantile: float
+    stated: Floats
+    stated_most: Floats
+    spreads: tuple[CalibrationSpread, ...]
+    below: Floats
+    counts: dict[str, Any]
+    signal: str
+    simulated: bool
+    notes: tuple[str, ...]
+
+    @property
+    def scatter(self) -> Floats:
+        """Scatter in excess of what is stated, 1 sigma, (12,)."""
+        return np.array([one.scatter for one in self.spreads])
+
+    @property
+    def bench(self) -> Floats:
+        """What benches differ by, 1 sigma, (12,); NaN where there is one bench."""
+        return np.array([one.bench for one in self.spreads])
+
+    @property
+    def u(self) -> Floats:
+        """Combined standard uncertainty, (12,)."""
+        return np.sqrt(self.stated**2 + self.scatter**2 + np.nan_to_num(self.bench) ** 2)
+
+    @property
+    def U(self) -> Floats:  # noqa: N802 - the symbol of the field
+        """Expanded uncertainty, k = 2, (12,)."""
+        return COVERAGE_FACTOR * self.u
+
+
+def capability(measured: ComparedCalibrations, quantile: float = EVERYDAY) -> Capability:
+    """Return the capability that a laboratory's calibrations show.
+
+    Raises `CalibrationError` with all that the history lacks where it is too short to say.
+    """
+    (units, unit), (benches, bench) = coded(measured.unit), coded(measured.bench)
+    _, kind = coded(measured.kind)
+    crossing = Crossing(unit, bench, kind)
+    days = int((measured.when.max() - measured.when.min()) / np.timedelta64(1, "D"))
+    several = len(benches) > 1
+    _refuse_short(crossing, days, several=several)
+    of = histories(unit, bench, (measured.when - measured.when.min()) / YEAR)
+    told = bool(np.any(of.runs >= LEAST_RUNS))
+    found = tuple(
+        spread_of(Within(of, y, v), several=several, drifts=told)
+        for y, v in zip(measured.vector.T, measured.own_variance.T, strict=True)
+    )
+    stated = np.sort(np.sqrt(measured.variance), axis=0)
+    ranks = _ranks(len(measured), quantile)
+    shown = Capability(
+        quantile, stated[ranks[0]], stated[ranks[1]], found, np.zeros(len(COEFFICIENTS)),
+        {
+            "calibrations": len(measured), "units": len(units), "benches": benches.tolist(), "days": days,
+            "first": str(measured.when.min().astype("datetime64[D]")),
+            "last": str(measured.when.max().astype("datetime64[D]")),
+            "repeats": crossing.repeated, "units_with_too_few_runs": int(np.sum(of.runs < LEAST_RUNS)),
+        },
+        measured.signal, measured.simulated, _notes(found, of, several=several),
+    )  # fmt: skip
+    below = np.sum(np.sqrt(measured.variance) < shown.u, axis=0)
+    return Capability(**{**shown.__dict__, "below": below.astype(float)})
+
+
+def _notes(found: tuple[CalibrationSpread, ...], of: Histories, *, several: bool) -> tuple[str, ...]:
+    runs = of.runs
+    few = int(np.sum(runs < LEAST_RUNS))
+    notes = []
+    if few == len(runs):
+        notes.append(
+            f"no unit has {LEAST_RUNS} runs: what units drift by cannot be told, and is in the scatter over time"
+        )
+    else:
+        drifting = [name for name, one in zip(COEFFICIENTS, found, strict=True) if one.shown]
+        out = f"is taken out in {', '.join(drifting)}" if drifting else "is not shown in any coefficient"
+        notes.append(f"a drift of units {out}; elsewhere what may be a drift is in the scatter over time")
+        if few:
+            notes.append(
+                f"{few} of {len(runs)} units have fewer than {LEAST_RUNS} runs, too few to tell a drift of their "
+                "own: it is taken to be as large as that of the others"
+            )
+    if many := int(np.sum(runs > of.longest)):
+        notes.append(
+            f"of {many} units with more than {of.longest} runs so many, evenly over the time, tell scatter and "
+            "drift"
+        )
+    if not several:
+        notes.append("one bench alone: what another would differ by is not in it")
+    return tuple(notes)
+
+
+def _ranks(count: int, quantile: float) -> tuple[int, int]:
+    """Return the places, in rising order, of a quantile and of its upper limit of 95 %."""
+    place = min(count - 1, int(np.ceil(quantile * count)) - 1)
+    limit = int(stats.binom.ppf(CONFIDENCE, count, quantile))
+    return max(place, 0), min(limit, count - 1)
+
+
+def _refuse_short(crossing: Crossing, days: int, *, several: bool) -> None:
+    lacks = []
+    if len(crossing.unit) < LEAST_CALIBRATIONS:
+        lacks.append(f"{len(crossing.unit)} calibrations ({LEAST_CALIBRATIONS} are needed)")
+    if crossing.repeated < LEAST_REPEATS:
+        lacks.append(f"{crossing.repeated} repeated calibrations of a unit ({LEAST_REPEATS} are needed)")
+    if days < LEAST_DAYS:
+        lacks.append(f"{days} days between the first and the last ({LEAST_DAYS} are needed)")
+    if several and len(crossing.alone()):
+        lacks.append(
+            "benches that share no unit with another (each is to have measured one that another has, too)"
+        )
+    if lacks:
+        raise CalibrationError(f"the history is too short for a statement of capability: {'; '.join(lacks)}")
