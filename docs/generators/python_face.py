@@ -43,14 +43,16 @@ def _signature(function: Any) -> str:
         if parameter.kind is parameter.KEYWORD_ONLY and not keyword_only:
             keyword_only = True
             parts.append("*")
-        annotation = str(parameter.annotation).strip("'")
-        given = "" if parameter.default is parameter.empty else f" = {parameter.default!r}"
-        parts.append(f"{parameter.name}: {annotation}{given}")
-    returns = str(inspect.signature(function).return_annotation).replace("'", "")
-    short = f"({', '.join(parts)}) -> {returns}"
-    return (
-        short if len(short) < 80 else "(\n" + "".join(f"    {part},\n" for part in parts) + f") -> {returns}"
-    )
+        # what is made from a request says its parameters alone: their types are those of the request's fields
+        bare = parameter.annotation is parameter.empty
+        annotation = "" if bare else f": {str(parameter.annotation).strip(chr(39))}"
+        equals = "=" if bare else " = "
+        given = "" if parameter.default is parameter.empty else f"{equals}{parameter.default!r}"
+        parts.append(f"{parameter.name}{annotation}{given}")
+    found = inspect.signature(function).return_annotation
+    returns = "" if found is inspect.Signature.empty else f" -> {str(found).replace(chr(39), '')}"
+    short = f"({', '.join(parts)}){returns}"
+    return short if len(short) < 80 else "(\n" + "".join(f"    {part},\n" for part in parts) + f"){returns}"
 
 
 def _class(name: str, kind: type[Any]) -> str:
