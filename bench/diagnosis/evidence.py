@@ -251,7 +251,7 @@ class Search:
         return Data(data.square - explained, data.along - fitted)
 
     def likelihood_ratio(self, data: Data, members: Sequence[int]) -> Floats:
-        """Return ln of the largest likelihood ratio of the variants `members` with wide priors, 0 or more, (sets,)."""
+        """Return ln of the largest likelihood ratio of the variants `members`, wide priors, >= 0, (sets,)."""
         left, grid = self.left_over(data), self.whitened.grid
         base = (grid.log_prior + grid.log_det + self.log_det)[:, None]
         of_null = _log_sum(base + grid.log_likelihood(left.square))
@@ -304,8 +304,8 @@ class Search:
 def beside_each(whitened: Whitened, data: Data, models: Sequence[Sequence[int]]) -> Floats:
     """Return the family evidence beside each of several models, shape (families, models).
 
-    The result is that of `Search.beside(…).score(…).families`, for one data set at one noise ratio. `models` are the
-    known columns of each model. They take the axis of the ratios, padded with zeros.
+    The result is that of `Search.beside(…).score(…).families`, for one data set at one noise ratio. `models` are
+    the known columns of each model. They take the axis of the ratios, padded with zeros.
     """
     many = max(len(known) for known in models)
     known = np.array([[*columns, *[-1] * (many - len(columns))] for columns in models])
