@@ -9,8 +9,8 @@ from benchmarks.verdict_risk import Decided, compared, main, two_sided, within_c
 
 @pytest.mark.slow
 def test_stated_risks_are_those_that_come_true(capsys):
-    """Seed 1, 120 calibrations with 240 points each: within 10 % or 0.002, and three standard errors."""
-    assert main(["--runs", "120", "--joint", "20", "--seed", "1"]) == 0
+    """Seed 1, 24 calibrations with 240 points each: within 10 % or 0.002, and three standard errors."""
+    assert main(["--runs", "24", "--joint", "20", "--seed", "1"]) == 0
     assert "false rejection, points" in capsys.readouterr().out
 
 

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -170,6 +171,7 @@ def test_commands_in_the_text_exist_with_their_options():
     assert told > 40
 
 
+@cache
 def known_options():
     return {
         name: {o for p in command.params for o in (*p.opts, *p.secondary_opts)} | {"--help", "--debug"}

@@ -21,7 +21,6 @@ from drivers.interfaces import (
 from drivers.motion import Travel
 from sim.acutrol import AcutrolTable
 from sim.wires.session import DROP, SILENCE, WireFault
-from sim.world.pose import HeadFault
 from sim.world.world import World
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession
 from tests.support.simulated_stand import a_world, served
@@ -152,17 +151,6 @@ def stand(
             h.close()
 
 
-def test_a_turn_from_both_sides() -> None:
-    world = a_world()
-    world.turn(12.3456789 * DEG, 1)
-    with stand(world) as h:
-        for target_deg, direction in [(45.0, 1), (45.0, 1), (360.0, 1), (45.0, -1), (0.0, 1), (0.0, -1)]:
-            position = h.move(target_deg * DEG, direction, "1/turn")  # type: ignore[arg-type]
-            assert position.angle_rad == pytest.approx(world.scale_angle_rad, abs=1e-8)
-            assert position.angle_rad == pytest.approx(target_deg * DEG, abs=1e-8)
-            assert world.direction == direction
-
-
 def test_entering_the_position_mode_moves_nothing() -> None:
     world = a_world()
     world.turn(100.0 * DEG, 1)
@@ -170,21 +158,6 @@ def test_entering_the_position_mode_moves_nothing() -> None:
         h.prepare()
         world.clock.sleep(60.0)
         assert world.scale_angle_rad == pytest.approx(100.0 * DEG, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("fault", "words"),
-    [
-        (HeadFault(sticks_after_rad=0.1), "stalled at 5°43′46″"),
-        (HeadFault(stops_off_rad=-0.01 * DEG), "did not come to rest within"),
-    ],
-)
-def test_a_table_that_does_not_arrive_is_held_and_said(fault: HeadFault, words: str) -> None:
-    world = a_world()
-    world.head_fault = fault
-    with stand(world) as h, pytest.raises(InstrumentRefused, match=words):
-        h.move(45 * DEG, 1, "1/turn")
-    assert world.head_rate_rad_s == 0.0
 
 
 def test_a_silent_controller_is_lost_and_the_table_stopped_over_a_new_connection() -> None:
@@ -211,36 +184,3 @@ def test_a_lost_connection_on_the_way_does_not_halt_the_table() -> None:
 
     with stand(world, drop) as h:
         assert h.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45 * DEG, abs=1e-8)
-
-
-def test_a_controller_that_was_switched_off_is_refused_and_opened_again() -> None:
-    world = a_world()
-    table = AcutrolTable(world)
-    with served(table, "head", world, read_termination="\r\n", write_termination="\r\n") as session:
-        h = head(session, world.clock)
-        h.open()
-        h.move(45 * DEG, 1, "1/turn")
-        table.power_cycle()
-        with pytest.raises(InstrumentRefused, match="stalled at 45°00′00″"):
-            h.move(90 * DEG, 1, "2/turn")
-        with pytest.raises(
-            InstrumentRefused, match=":mode:position 1 with 'ERR', not OK; check the interlock"
-        ):
-            h.move(90 * DEG, 1, "2/turn")
-        h.open()
-        assert h.move(90 * DEG, 1, "2/turn").angle_rad == pytest.approx(90 * DEG, abs=1e-8)
-        h.close()
-
-
-def test_leaving_opens_the_interlock_and_stops() -> None:
-    world = a_world()
-    table = AcutrolTable(world)
-    with served(table, "head", world, read_termination="\r\n", write_termination="\r\n") as session:
-        h = head(session, world.clock)
-        h.open()
-        h.prepare()
-        h.start(45 * DEG)
-        world.clock.sleep(1.0)
-        h.close()
-    assert world.head_rate_rad_s == 0.0
-    assert table.handle(b":mode:position 1", lambda: False) == b"ACUTROL>ERR"

@@ -10,9 +10,9 @@ import pytest
 from drivers.chambers import ChamberLimits
 from drivers.facts.espec import READ_TERMINATION, WRITE_TERMINATION
 from drivers.instruments.espec import EspecChamber
-from drivers.interfaces import Identity, InstrumentLost, InstrumentRefused, LimitExceeded, ThermalChamber
+from drivers.interfaces import Identity, InstrumentRefused, LimitExceeded, ThermalChamber
 from sim.chambers import EspecP300
-from sim.wires.session import DROP, REFUSE, WireFault
+from sim.wires.session import DROP, WireFault
 from sim.world.world import World
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession
 from tests.support.simulated_stand import a_world, served
@@ -146,46 +146,6 @@ def stand(
         c.close()
 
 
-def test_the_world_follows_the_chamber() -> None:
-    world = a_world()
-    with stand(world) as (c, _):
-        c.set_temperature(60.0, "1/temperature")
-        assert world.chamber_c == pytest.approx(23.0)
-        with pytest.raises(InstrumentRefused, match="more than 2 °C from the 60 °C demanded"):
-            c.temperature("2/read")
-        assert c.temperature("2/settle", settling=True) < 30.0  # on its way: no error while it settles
-        world.clock.sleep(3 * 3600.0)
-        assert c.temperature("3/read") == 60.0
-        assert world.block_c == pytest.approx(60.0, abs=0.01)
-        c.make_safe()
-        world.clock.sleep(10 * 3600.0)
-        assert c.temperature("4/read") == pytest.approx(23.0, abs=0.1)
-
-
-def test_a_chamber_out_of_band_with_an_alarm_and_switched_off() -> None:
-    world = a_world()
-    with stand(world) as (c, simulated):
-        c.set_temperature(60.0, "1/temperature")
-        world.clock.sleep(3600.0)
-        world.disturb_chamber(-5.0)
-        world.clock.sleep(3600.0)
-        with pytest.raises(InstrumentRefused, match="the air is at 55 °C"):
-            c.temperature("2/read")
-        simulated.alarms = (12,)
-        with pytest.raises(InstrumentRefused, match="has the alarm 12"):
-            c.temperature("2/read")
-        simulated.alarms = ()
-        simulated.power_cycle()
-        with pytest.raises(InstrumentRefused, match="operation is STANDBY"):
-            c.temperature("2/read")
-
-
-def test_the_chambers_own_range_holds() -> None:
-    world = a_world()
-    with stand(world, highest_c=70.0) as (c, _), pytest.raises(LimitExceeded, match="-50 to 70 °C"):
-        c.set_temperature(80.0, "1/temperature")
-
-
 def test_the_noise_of_the_sensor_belongs_to_the_step() -> None:
     def shown() -> list[float]:
         world = a_world()
@@ -209,14 +169,3 @@ def test_after_a_lost_connection_the_identity_is_proved_again() -> None:
     with stand(world, drop_once) as (c, _):
         assert c.temperature("1/read") == pytest.approx(23.0)
     assert seen.count(b"TYPE?") == 2
-
-
-def test_a_chamber_that_is_gone_is_lost() -> None:
-    world = a_world()
-    refusing = iter([False] * 2)
-
-    def refuse(message: bytes, reply: bytes | None) -> WireFault | None:
-        return None if next(refusing, True) is False else REFUSE
-
-    with stand(world, refuse) as (c, _), pytest.raises(InstrumentLost, match="refused the connection"):
-        c.temperature("1/read")

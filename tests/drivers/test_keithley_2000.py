@@ -8,7 +8,6 @@ from drivers.instruments.keithley_2000 import Keithley2000
 from drivers.interfaces import (
     BadReading,
     Identity,
-    InstrumentLost,
     InstrumentRefused,
     LimitExceeded,
     Voltmeter,
@@ -77,11 +76,6 @@ def test_what_is_not_two_whole_readings_is_none(reply: str) -> None:
         fetched(("*WAI;:TRAC:DATA?", reply))
 
 
-def test_power_that_was_lost_meanwhile_is_told() -> None:
-    with pytest.raises(InstrumentLost, match="switched off and on"):
-        fetched(("*WAI;:TRAC:DATA?", "+1.23456789E-03,+1.23456789E-03"), ("*ESR?", "128"))
-
-
 def test_a_filter_that_stays_on_is_noticed() -> None:
     answered = [
         (sent, "1") if sent == "VOLT:DC:AVER:STAT?" else (sent, reply) for sent, reply in (*OPENING, *SETUP)
@@ -99,21 +93,3 @@ def test_the_buffer_holds_2_to_1024_readings(samples: int) -> None:
     meter = Keithley2000("voltmeter.x", "x", session, session.clock)  # type: ignore[arg-type]
     with pytest.raises(LimitExceeded, match="memory holds 2 to 1024"):
         meter.configure(VoltmeterSettings(10.0, 1.0, samples))
-
-
-@pytest.mark.parametrize(
-    "identity", ["KEITHLEY INSTRUMENTS INC.,MODEL 2700,1,B09  /A02", "HEWLETT-PACKARD,34401A,0,11-5-2"]
-)
-def test_another_instrument_is_refused(identity: str) -> None:
-    session = ScriptedSession([("*IDN?", identity)])
-    meter = Keithley2000("voltmeter.x", "x", session, session.clock)  # type: ignore[arg-type]
-    with pytest.raises(InstrumentRefused, match="not a Keithley 2000"):
-        meter.open()
-
-
-def test_over_rs232_it_is_made_remote_and_left_local() -> None:
-    session = ScriptedSession([("SYST:REM", None)], OPENING, [("SYST:LOC", None)])
-    meter = Keithley2000("voltmeter.x", "x", session, session.clock, interface="rs232")  # type: ignore[arg-type]
-    meter.open()
-    meter.close()
-    assert session.left == []

@@ -9,8 +9,6 @@ import pytest
 from drivers.instruments.keysight_34970a import Keysight34970A
 from drivers.interfaces import (
     BadReading,
-    Identity,
-    InstrumentLost,
     InstrumentRefused,
     LimitExceeded,
     Voltmeter,
@@ -102,30 +100,6 @@ def test_signals_stand_in_the_order_of_the_channel_numbers_in_which_the_meter_sc
     m.configure(VoltmeterSettings(10.0, 10.0, 1))
     m.start()
     assert m.fetch() == {"y": (1.0,), "z": (2.0,), "x": (3.0,)}
-
-
-@pytest.mark.parametrize(
-    ("reply", "identity"),
-    [
-        ("HEWLETT-PACKARD,34970A,0,13-2-2", Identity("HEWLETT-PACKARD", "34970A", "", "13-2-2")),
-        (
-            "Agilent Technologies,34972A,MY49000001,1.16-1.12-02-02",
-            Identity("Agilent Technologies", "34972A", "MY49000001", "1.16-1.12-02-02"),
-        ),
-        (
-            "Keysight Technologies,34972A,MY59000001,1.17",
-            Identity("Keysight Technologies", "34972A", "MY59000001", "1.17"),
-        ),
-    ],
-)
-def test_identity_by_pattern(reply: str, identity: Identity) -> None:
-    assert meter(ScriptedSession(swapped(IDENTIFY, "*IDN?", reply))).open() == identity
-
-
-@pytest.mark.parametrize("reply", ["HEWLETT-PACKARD,34401A,0,11-5-2", "RIGOL TECHNOLOGIES,34970A,0,1"])
-def test_another_instrument_is_refused(reply: str) -> None:
-    with pytest.raises(InstrumentRefused, match="not a 34970A or 34972A; check the address"):
-        meter(ScriptedSession([("*IDN?", reply)])).open()
 
 
 @pytest.mark.parametrize(
@@ -228,21 +202,3 @@ def test_timeout_grows_with_the_scan() -> None:
     m.start()
     m.fetch()
     assert script.timeouts_s["FETC?"] == pytest.approx(3.0 + 1.5 * 6 * (0.1 + 0.4 + 0.03))
-
-
-def test_a_meter_that_was_switched_off_and_on_is_set_up_again() -> None:
-    m, script = ready(swapped(READ, "*ESR?", "+128"), IDENTIFY, CONFIGURE, READ)
-    m.start()
-    with pytest.raises(InstrumentLost, match="switched off and on"):
-        m.fetch()
-    m.start()
-    assert m.fetch()["x"] == (1.0, 1.1)
-    assert script.left == []
-
-
-def test_over_rs232_it_is_made_remote_first_and_local_last() -> None:
-    script = ScriptedSession([("SYST:REM", None)], IDENTIFY, [("SYST:LOC", None)])
-    m = meter(script, interface="rs232")
-    m.open()
-    m.close()
-    assert script.left == []

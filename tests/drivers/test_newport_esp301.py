@@ -13,8 +13,7 @@ from drivers.instruments.newport_esp301 import NewportHead
 from drivers.interfaces import BadReading, HeadPosition, Identity, InstrumentLost, InstrumentRefused
 from drivers.motion import Travel
 from sim.newport_esp301 import Esp301
-from sim.wires.session import DROP, SILENCE, FaultHook, WireFault
-from sim.world.pose import HeadFault
+from sim.wires.session import SILENCE, FaultHook, WireFault
 from sim.world.world import World
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession, swapped, until
 from tests.support.simulated_stand import a_world, served
@@ -197,16 +196,6 @@ def test_a_motor_that_somebody_switched_on_again_after_a_power_cut_is_not_believ
     assert world.scale_angle_rad == pytest.approx(45 * DEG, abs=1e-6)
 
 
-def test_a_head_that_is_stuck_is_told_by_its_following_error() -> None:
-    world = a_world()
-    world.head_fault = HeadFault(sticks_after_rad=0.1)
-    with (
-        stand(world, Esp301(world)) as h,
-        pytest.raises(InstrumentRefused, match=r"error 103.*free the head"),
-    ):
-        h.move(45 * DEG, 1, "1/turn")
-
-
 def test_a_demand_whose_answer_was_lost_is_not_sent_again_and_the_head_stopped() -> None:
     world = a_world()
     sent: list[bytes] = []
@@ -220,16 +209,3 @@ def test_a_demand_whose_answer_was_lost_is_not_sent_again_and_the_head_stopped()
             h.move(45 * DEG, 1, "1/turn")
         assert sum(message.startswith(b"1PA") for message in sent) == 1
         assert world.head_rate_rad_s == 0.0
-
-
-def test_a_lost_connection_on_the_way_does_not_halt_it() -> None:
-    world = a_world()
-    asked: list[bytes] = []
-
-    def drop(message: bytes, reply: bytes | None) -> WireFault | None:
-        asked.extend([message] if message == b"1MD?" else [])
-        return DROP if len(asked) == 4 and message == b"1MD?" else None
-
-    with stand(world, Esp301(world), drop) as h:
-        assert h.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45 * DEG, abs=1e-6)
-    assert len(asked) > 4

@@ -1,18 +1,96 @@
-"""The SCPI base with the words of another make: trigger, readings, errors, identity are the make's to state."""
+"""The SCPI base: which identities each model takes, remote control over RS-232, and the words of another make."""
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import pytest
 
-from drivers.interfaces import BadReading, InstrumentRefused, VoltmeterLimits, VoltmeterSettings
+from drivers.instruments.agilent_34401a import Agilent34401A
+from drivers.instruments.keithley_2000 import Keithley2000
+from drivers.instruments.keysight_34461a import Keysight34461A
+from drivers.instruments.keysight_34970a import Keysight34970A
+from drivers.interfaces import BadReading, Identity, InstrumentRefused, VoltmeterLimits, VoltmeterSettings
 from drivers.scpi_voltmeter import ProvenSetting, ScpiVoltmeter
-from tests.support.scripted_session import ScriptedSession
+from tests.support.scripted_session import Pairs, ScriptedSession
+
+MODELS: dict[str, tuple[Any, Any, str]] = {
+    "34401A": (Agilent34401A, "x", "not a 34401A; check the address"),
+    "2000": (Keithley2000, "x", "not a Keithley 2000"),
+    "34461A": (Keysight34461A, "x", "not a 34460A, 34461A, 34465A or 34470A"),
+    "34970A": (Keysight34970A, {"x": 101}, "not a 34970A or 34972A; check the address"),
+}
+CARD: Pairs = [("SYST:CTYP? 100", "HEWLETT-PACKARD,34901A,0,2.3")]
+
+
+def of_model(model: str, session: ScriptedSession, **options: Any) -> Any:
+    kind, channels, _ = MODELS[model]
+    return kind("voltmeter", channels, session, session.clock, **options)
+
+
+@pytest.mark.parametrize(
+    ("model", "reply", "card"),
+    [
+        ("34401A", "HEWLETT-PACKARD,34401A,0,3-1-1", []),
+        ("34401A", "HEWLETT-PACKARD,34401A,MY53000001,01.05-11-5-2", []),
+        ("34401A", "Agilent Technologies,34401A,0,11-5-2", []),
+        ("34401A", "Keysight Technologies,34401A,0,11-5-2", []),
+        ("34970A", "HEWLETT-PACKARD,34970A,0,13-2-2", CARD),
+        ("34970A", "Agilent Technologies,34972A,MY49000001,1.16-1.12-02-02", CARD),
+        ("34970A", "Keysight Technologies,34972A,MY59000001,1.17", CARD),
+    ],
+)
+def test_identity_by_pattern(model: str, reply: str, card: Pairs) -> None:
+    maker, name, serial, firmware = reply.split(",")
+    session = ScriptedSession([("*IDN?", reply), ("*CLS", None)], card)
+    assert of_model(model, session).open() == Identity(maker, name, serial.removeprefix("0"), firmware)
+
+
+@pytest.mark.parametrize(
+    ("model", "reply"),
+    [
+        ("34401A", "KEITHLEY INSTRUMENTS INC.,MODEL 2000,0,B02"),
+        ("34401A", "Keysight Technologies,34461A,MY1,A.02"),
+        ("34401A", "X,34401A,0,1"),
+        ("2000", "KEITHLEY INSTRUMENTS INC.,MODEL 2700,1,B09  /A02"),
+        ("2000", "HEWLETT-PACKARD,34401A,0,11-5-2"),
+        ("34461A", "Agilent Technologies,34410A,MY1,2.35"),
+        ("34461A", "Rigol Technologies,34461A,DM1,1"),
+        ("34461A", "A,B,C,D"),
+        ("34970A", "HEWLETT-PACKARD,34401A,0,11-5-2"),
+        ("34970A", "RIGOL TECHNOLOGIES,34970A,0,1"),
+    ],
+)
+def test_another_instrument_is_refused(model: str, reply: str) -> None:
+    with pytest.raises(InstrumentRefused, match=MODELS[model][2]) as caught:
+        of_model(model, ScriptedSession([("*IDN?", reply)])).open()
+    assert reply in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("model", "reply", "card"),
+    [
+        ("2000", "KEITHLEY INSTRUMENTS INC.,MODEL 2000,1308393,A20  /A02", []),
+        ("34970A", "HEWLETT-PACKARD,34970A,0,13-2-2", CARD),
+    ],
+)
+def test_over_rs232_it_is_made_remote_first_and_local_last(model: str, reply: str, card: Pairs) -> None:
+    opening: Pairs = [("SYST:REM", None), ("*IDN?", reply), ("*CLS", None)]
+    session = ScriptedSession(opening, card, [("SYST:LOC", None)])
+    meter = of_model(model, session, interface="rs232")
+    meter.open()
+    meter.close()
+    assert session.left == []
+
+
+# --- another make -----------------------------------------------------------------------------------
 
 SETTINGS = VoltmeterSettings(10.0, 1.0, 2)
 
 
 class OtherMake(ScpiVoltmeter):
-    """A made-up meter: seven digits, blanks in its identity, a trace buffer, a status queue."""
+    """A made-up meter: seven digits, blanks in its identity, a trace buffer, a status queue, always remote."""
 
     makers = r"VOLTWERKE GMBH"
     models = ("MODEL 7",)
@@ -32,53 +110,33 @@ class OtherMake(ScpiVoltmeter):
         return [ProvenSetting(f":TRAC:POIN {settings.samples}", ":TRAC:POIN?", float(settings.samples))]
 
 
-OPEN = [("*IDN?", "VOLTWERKE GMBH,MODEL 7,0815,A01"), ("*CLS", None)]
-SET = [(":TRAC:POIN 2", None), (":TRAC:POIN?", "2"), (":STAT:QUE?", '0,"No error"')]
-START = [(":TRAC:FEED:CONT NEXT;:INIT", None)]
+OPEN: Pairs = [("*IDN?", "VOLTWERKE GMBH,MODEL 7,0815,A01"), ("*CLS", None)]
+SET: Pairs = [(":TRAC:POIN 2", None), (":TRAC:POIN?", "2")]
+other_make = partial(OtherMake, "voltmeter.x", ("x",), interface="rs232", line_hz=50.0)
 
 
-def meter(session, interface="rs232"):
-    return OtherMake("voltmeter.x", ("x",), session, session.clock, interface=interface, line_hz=50.0)
-
-
-def test_it_speaks_in_its_own_words():
-    session = ScriptedSession(
-        OPEN, SET, START, [(":TRAC:DATA?", "+1.234567E+00,-1.234567E+00"), ("*ESR?", "0")]
-    )
-    other = meter(session)
-    assert other.open().model == "MODEL 7"
-    other.configure(SETTINGS)
-    other.start()
-    assert other.fetch() == {"x": (1.234567, -1.234567)}
-    other.close()
+def fetched(reply: str) -> Any:
+    start: Pairs = [(":STAT:QUE?", '0,"No error"'), (":TRAC:FEED:CONT NEXT;:INIT", None)]
+    session = ScriptedSession(OPEN, SET, start, [(":TRAC:DATA?", reply), ("*ESR?", "0")])
+    meter = other_make(session, session.clock)  # type: ignore[arg-type]
+    assert meter.open().model == "MODEL 7"
+    meter.configure(SETTINGS)
+    meter.start()
+    values = meter.fetch()
+    meter.close()
     assert session.left == []
+    return values
 
 
-@pytest.mark.parametrize(
-    ("reply", "cause"),
-    [
-        ("+1.23456780E+00,+1.23456780E+00", r"2 readings such as \+1\.234567E\+00"),
-        ("+1.234567E+00", "2 readings"),
-        ("+9.900000E+36,+1.234567E+00", "overloads"),
-    ],
-)
-def test_readings_of_another_form_are_none(reply, cause):
-    session = ScriptedSession(OPEN, SET, START, [(":TRAC:DATA?", reply), ("*ESR?", "0")])
-    other = meter(session)
-    other.open()
-    other.configure(SETTINGS)
-    other.start()
-    with pytest.raises(BadReading, match=cause):
-        other.fetch()
-
-
-def test_its_error_queue_and_its_identity_are_asked_in_its_words():
-    session = ScriptedSession(
-        OPEN, [*SET[:2], (":STAT:QUE?", '-113,"Undefined header"'), (":STAT:QUE?", '0,""')]
-    )
-    other = meter(session)
-    other.open()
+def test_it_speaks_in_its_own_words() -> None:
+    assert fetched("+1.234567E+00,-1.234567E+00") == {"x": (1.234567, -1.234567)}
+    with pytest.raises(BadReading, match=r"2 readings such as \+1\.234567E\+00"):
+        fetched("+1.23456780E+00,+1.23456780E+00")
+    with pytest.raises(BadReading, match="overloads"):
+        fetched("+9.900000E+36,+1.234567E+00")
+    queue: Pairs = [(":STAT:QUE?", '-113,"Undefined header"'), (":STAT:QUE?", '0,""')]
+    session = ScriptedSession(OPEN, SET, queue)
+    meter = other_make(session, session.clock)  # type: ignore[arg-type]
+    meter.open()
     with pytest.raises(InstrumentRefused, match="error -113"):
-        other.configure(SETTINGS)
-    with pytest.raises(InstrumentRefused, match=r"not a Model 7; check the address in the bench file$"):
-        meter(ScriptedSession([("*IDN?", "HEWLETT-PACKARD,34401A,0,11-5-2")])).open()
+        meter.configure(SETTINGS)

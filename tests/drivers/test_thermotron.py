@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import pytest
 
 from drivers.chambers import ChamberLimits
@@ -12,14 +9,10 @@ from drivers.instruments.thermotron import ThermotronChamber
 from drivers.interfaces import (
     BadReading,
     Identity,
-    InstrumentLost,
     InstrumentRefused,
     ThermalChamber,
 )
-from sim.chambers import Thermotron8800
-from sim.world.world import World
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession
-from tests.support.simulated_stand import a_world, served
 
 LIMITS = ChamberLimits(-40.0, 85.0, band_c=2.0)
 OPEN: Pairs = [("IDEN?", "8800 V3.12")]
@@ -71,52 +64,3 @@ def test_a_controller_set_to_fahrenheit_is_noticed_when_it_cannot_be_celsius() -
 
 
 # --- over a real socket, with the simulated chamber --------------------------------------------------
-
-
-@contextmanager
-def stand(world: World) -> Iterator[tuple[ThermotronChamber, Thermotron8800]]:
-    simulated = Thermotron8800(world)
-    with served(simulated, "chamber", world, timeout_s=0.2) as session:
-        c = chamber(session, world.clock)
-        c.open()
-        yield c, simulated
-        c.close()
-
-
-def test_the_world_follows_the_chamber() -> None:
-    world = a_world()
-    with stand(world) as (c, _):
-        c.set_temperature(60.0, "1/temperature")
-        world.clock.sleep(3 * 3600.0)
-        assert c.temperature("2/read") == pytest.approx(60.0, abs=0.001)
-        c.set_temperature(-10.0, "3/temperature")
-        world.clock.sleep(3 * 3600.0)
-        assert c.temperature("4/read") == pytest.approx(-10.0, abs=0.001)
-        assert world.block_c == pytest.approx(-10.0, abs=0.01)
-        c.make_safe()
-        world.clock.sleep(24 * 3600.0)
-        assert world.chamber_c == pytest.approx(23.0, abs=0.1)
-
-
-def test_a_power_cycle_is_noticed_at_the_next_reading() -> None:
-    world = a_world()
-    with stand(world) as (c, simulated):
-        c.set_temperature(25.0, "1/temperature")
-        world.clock.sleep(3600.0)
-        simulated.power_cycle()
-        with pytest.raises(InstrumentRefused, match="its mode is 2, not manual"):
-            c.temperature("2/read")
-
-
-def test_the_simulated_controller_loses_what_comes_too_soon() -> None:
-    world = a_world()
-    with served(Thermotron8800(world), "chamber", world, timeout_s=0.1) as session:
-        session.open()
-        session.write("SETP1,50.0")
-        with pytest.raises(InstrumentLost):
-            session.query("SETP1?")
-        world.clock.sleep(1.0)
-        assert session.query("SETP1?") == "50.000"
-        assert session.query("MODE?") == "2"
-        world.clock.sleep(3600.0)
-        assert world.chamber_c == 23.0  # not acted on until RUNM

@@ -107,20 +107,6 @@ def stand(world: World, simulated: WatlowF4T, **options: object) -> Iterator[Wat
         c.close()
 
 
-@pytest.mark.parametrize("unit", ["C", "F"])
-def test_the_world_follows_the_chamber_in_either_unit(unit: str) -> None:
-    world = a_world()
-    with stand(world, WatlowF4T(world, unit=unit, output_on=False), output=1) as c:  # type: ignore[arg-type]
-        c.open()
-        c.set_temperature(-20.0, "1/temperature")
-        world.clock.sleep(3 * 3600.0)
-        assert c.temperature("2/read") == pytest.approx(-20.0, abs=0.01)
-        assert world.block_c == pytest.approx(-20.0, abs=0.01)
-        c.make_safe()
-        world.clock.sleep(24 * 3600.0)
-        assert c.temperature("3/read") == pytest.approx(23.0, abs=0.1)
-
-
 @pytest.mark.parametrize("broken_sensor", [False, True])
 def test_without_an_output_it_is_made_safe_by_a_demand(broken_sensor: bool) -> None:
     world = a_world()
@@ -133,15 +119,6 @@ def test_without_an_output_it_is_made_safe_by_a_demand(broken_sensor: bool) -> N
         c.make_safe()
         world.clock.sleep(3 * 3600.0)
         assert world.chamber_c == pytest.approx(30.0, abs=0.01)
-
-
-def test_old_firmware_is_refused() -> None:
-    world = a_world()
-    with (
-        stand(world, WatlowF4T(world, old_firmware=True)) as c,
-        pytest.raises(InstrumentRefused, match="older firmware speaks °F only"),
-    ):
-        c.open()
 
 
 def test_a_broken_sensor_and_a_power_cycle_are_noticed() -> None:

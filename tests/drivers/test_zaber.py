@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from drivers.facts.zaber import READ_TERMINATION, SERIAL, WRITE_TERMINATION, checksum
+from drivers.facts.zaber import checksum
 from drivers.instruments.zaber import ZaberHead
 from drivers.interfaces import (
     BadReading,
@@ -17,15 +17,12 @@ from drivers.interfaces import (
     InstrumentLost,
     InstrumentRefused,
 )
-from drivers.wire.visa import MessageSession, SerialSettings
-from sim.wires.server import TERMINALS, TerminalServer
-from sim.wires.session import DROP, SILENCE, ServedInstrument, WireFault
-from sim.world.pose import HeadFault
+from sim.wires.session import DROP, WireFault
 from sim.world.world import World
 from sim.zaber import ZaberStage
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession, swapped, until
 from tests.support.simulated_stand import a_world, served
-from tests.support.zaber_head import ARCSEC, DEG, STEPS, TRAVEL, head
+from tests.support.zaber_head import DEG, STEPS, head
 
 OPEN: Pairs = [
     ("/1 0 01 set comm.alert 0", "@01 0 01 OK IDLE -- 0"),
@@ -200,71 +197,6 @@ def stand(
             h.close()
 
 
-def test_the_points_of_a_turn_from_both_sides_with_a_fresh_setting_error_each() -> None:
-    world = a_world(setting_error_rad=10 * ARCSEC)
-    errors = []
-    with stand(world, checksums=True) as (h, _):
-        for i, (target_deg, direction) in enumerate(
-            [(0, 1), (45, 1), (180, 1), (360, 1), (315, -1), (45, -1), (0, -1)]
-        ):
-            world.begin_step(f"{i}/turn")
-            begun_s = world.clock.now_s()
-            position = h.move(target_deg * DEG, direction, f"{i}/turn")  # type: ignore[arg-type]
-            assert position.angle_rad == pytest.approx(target_deg * DEG, abs=0.5 / STEPS * DEG)
-            assert position.angle_rad == pytest.approx(world.scale_angle_rad, abs=1e-14)
-            assert world.direction == position.direction == direction
-            assert world.clock.now_s() - begun_s >= TRAVEL.settle_s
-            errors.append(world.true_angle_rad - world.scale_angle_rad)
-    assert len({round(error, 12) for error in errors}) == 7
-
-
-def test_the_setting_error_does_not_depend_on_where_the_head_came_from() -> None:
-    true_rad = []
-    for start_deg in (0.0, 100.0):
-        world = a_world(setting_error_rad=10 * ARCSEC)
-        world.turn(start_deg * DEG, 1)
-        world.begin_step("7/turn#1")
-        with stand(world) as (h, _):
-            h.move(45 * DEG, 1, "7/turn")
-        true_rad.append(world.true_angle_rad)
-    assert true_rad[0] == true_rad[1] != pytest.approx(45 * DEG, abs=1e-9)
-
-
-def test_a_head_that_is_not_homed_is_homed_only_where_that_is_allowed() -> None:
-    world = a_world()
-    world.turn(30 * DEG, 1)
-    with (
-        stand(world, ZaberStage(world, steps_per_degree=STEPS, homed=False)) as (h, _),
-        pytest.raises(InstrumentRefused, match="was not homed since it was switched on"),
-    ):
-        h.move(45 * DEG, 1, "1/turn")
-    assert world.scale_angle_rad == pytest.approx(30 * DEG)
-    with stand(world, ZaberStage(world, steps_per_degree=STEPS, homed=False), allow_homing=True) as (h, _):
-        assert h.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45 * DEG)
-
-
-@pytest.mark.parametrize(
-    ("encoder", "words"), [(True, r"has stalled \(flag FS\)"), (False, "stalled at 20°00′00″, sent to 45")]
-)
-def test_a_stuck_head_is_stopped_and_can_be_used_again_when_freed(encoder: bool, words: str) -> None:
-    world = a_world()
-    world.head_fault = HeadFault(sticks_after_rad=20 * DEG)
-    stage = ZaberStage(world, steps_per_degree=STEPS, encoder=encoder)
-    with stand(world, stage) as (h, _):
-        with pytest.raises(InstrumentRefused, match=words):
-            h.move(45 * DEG, 1, "1/turn")
-        assert world.scale_angle_rad == pytest.approx(20 * DEG)
-        world.head_fault = HeadFault()
-        assert h.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45 * DEG)
-
-
-def test_a_head_that_stops_off_target_is_refused() -> None:
-    world = a_world()
-    world.head_fault = HeadFault(stops_off_rad=-30 * ARCSEC)
-    with stand(world) as (h, _), pytest.raises(InstrumentRefused, match=r"0°00′[23].*″ below it"):
-        h.move(45 * DEG, 1, "1/turn")
-
-
 def test_lines_that_come_between_are_no_replies() -> None:
     world = a_world()
     count = 0
@@ -304,16 +236,6 @@ def test_a_reply_with_a_wrong_or_missing_checksum_is_asked_again_but_not_for_eve
         assert 1000 - spoilt["left"] == 3
 
 
-def test_alerts_are_switched_off() -> None:
-    world = a_world()
-    stage = ZaberStage(world, steps_per_degree=STEPS)
-    stage.handle(b"/1 0 set comm.alert 1", lambda: False)
-    log: list[tuple[str, str]] = []
-    with stand(world, stage, log=log) as (h, _):
-        h.move(45 * DEG, 1, "1/turn")
-    assert not [text for _, text in log if text.startswith("!")]
-
-
 def test_a_lost_connection_at_the_move_stops_the_head_over_a_new_one() -> None:
     world = a_world()
     cut = iter([True])
@@ -350,47 +272,3 @@ def test_a_head_left_moving_by_a_program_that_died_is_stopped_first() -> None:
         world.clock.sleep(1.0)
         with stand(world, stage) as (h, _):
             assert h.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45 * DEG)
-
-
-def test_a_head_that_was_closed_is_not_moved() -> None:
-    world = a_world()
-    with stand(world) as (h, _):
-        h.close()
-        with pytest.raises(InstrumentLost, match="is not open"):
-            h.move(45 * DEG, 1, "1/turn")
-    assert world.scale_angle_rad == 0.0
-
-
-def test_closing_stops_a_head_that_moves() -> None:
-    world = a_world()
-    with stand(world) as (h, _):
-        h.start(45 * DEG)
-        world.clock.sleep(1.0)
-    assert world.head_rate_rad_s == 0.0
-    assert world.scale_angle_rad == pytest.approx(10 * DEG, rel=1e-3)
-
-
-@pytest.mark.skipif(not TERMINALS, reason="this system has no pseudo-terminals")
-def test_over_a_serial_port_and_after_a_lost_reply() -> None:
-    world = a_world()
-    lost = iter([True])
-
-    def silent(message: bytes, reply: bytes | None) -> WireFault | None:
-        return SILENCE if b"get pos" in message and next(lost, False) else None
-
-    with TerminalServer(
-        ServedInstrument(ZaberStage(world, steps_per_degree=STEPS), fault=silent)
-    ) as terminal:
-        session = MessageSession(
-            "head",
-            terminal.resource,
-            timeout_s=0.2,
-            read_termination=READ_TERMINATION,
-            write_termination=WRITE_TERMINATION,
-            serial=SerialSettings(**SERIAL),
-        )
-        h = head(session, world.clock)
-        h.open()
-        assert h.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45 * DEG)
-        assert next(lost, False) is False
-        h.close()

@@ -5,9 +5,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from bench.model import CATALOGUE, AppliedEffect, Block, Conditions, Distribution, Effect, ForwardModel, Stage
+from bench.model import AppliedEffect, Block, Conditions, Distribution, Effect, ForwardModel, Stage
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
-from tests.support.paper_bench import ARCSEC, TRUTH, U0, K, design, specific_force
+from tests.support.paper_bench import TRUTH, U0, K, design, specific_force
 
 BLOCK = Block(K, U0)
 INSTALLATIONS = {"1": INSTALLATION_1, "2": INSTALLATION_2}
@@ -44,33 +44,6 @@ def test_readings_without_effects():
     installation, _, _, phi = design(1)
     force = specific_force(installation, phi, alpha4=2e-3)
     np.testing.assert_allclose(readings(setting=2e-3), force @ K.T + U0, atol=1e-14)
-
-
-def test_quadratic_nonlinearity():
-    """K_ii K2_i a_i^2: in installation 1 z sees cos^2, x sees sin^2, y nothing; in 2 y sees cos^2."""
-    effect = AppliedEffect(CATALOGUE["quadratic_nonlinearity"], {"K2": np.array([10e-6, 20e-6, 30e-6])})
-    added = readings((effect,)) - readings()
-    _, _, _, phi = design(1)
-    s2, c2 = np.sin(phi[:9]) ** 2, np.cos(phi[:9]) ** 2
-    x = -2.177087 * 10e-6 * s2
-    np.testing.assert_allclose(added[:9], np.stack([x, 0 * s2, -2.144367 * 30e-6 * c2], 1), atol=1e-15)
-    np.testing.assert_allclose(added[9:], np.stack([x, -2.139892 * 20e-6 * c2, 0 * s2], 1), atol=1e-15)
-
-
-def test_head_eccentricity():
-    """The angle that counts is phi + e_c cos(phi) + e_s sin(phi)."""
-    cosine, sine = 30 * ARCSEC, -20 * ARCSEC
-    effect = AppliedEffect(
-        CATALOGUE["head_eccentricity"], {"cosine": np.asarray(cosine), "sine": np.asarray(sine)}
-    )
-    installation, _, _, phi = design(1)
-    force = specific_force(installation, phi + cosine * np.cos(phi) + sine * np.sin(phi))
-    np.testing.assert_allclose(readings((effect,)), force @ K.T + U0, atol=1e-15)
-
-
-def test_parameters_left_out_are_zero():
-    effect = AppliedEffect(CATALOGUE["head_eccentricity"], {})
-    np.testing.assert_array_equal(readings((effect,)), readings())
 
 
 class Probe(Effect):
@@ -115,14 +88,6 @@ def test_conditions_left_out_are_not_known():
     assert conditions.direction.tolist() == [0, 0]
     assert np.isnan(conditions.time_s).all()
     assert np.isnan(conditions.temperature_c).all()
-
-
-def test_every_effect_of_the_catalogue_says_what_it_is():
-    for name, effect in CATALOGUE.items():
-        assert name == effect.name
-        assert effect.sentence
-        assert effect.shown_by
-        assert all(p.plausible > 0 and p.si_per_unit > 0 for p in effect.parameters)
 
 
 def test_distributions():

@@ -1,46 +1,59 @@
-"""Whatever a client sends, the simulated heads and chambers live on; the text is of what they understand."""
+"""Whatever a client sends, the simulated instruments live on; the text is of what they understand."""
 
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 
 import pytest
 
 from sim.acutrol import AcutrolTable
+from sim.agilent_34401a import Agilent34401A
 from sim.chambers import EspecP300, Thermotron8800, WatlowF4T
+from sim.keithley_2000 import Keithley2000
+from sim.newport_esp301 import Esp301
+from sim.scpi import never
 from sim.wires.session import Dialect
+from sim.world.world import World
 from sim.zaber import ZaberStage
-from tests.support.simulated_stand import a_world
+from tests.support.simulated_stand import a_world, tell
 
-WORDS = [
-    word
-    for line in (
-        "/1 1 07 get set move abs rel home stop warnings clear pos maxspeed comm.checksum 384000 -1 :4F :",
-        ":mode:position :mode:rate :demand:rate :demand:position :read:position 1, 045.000 nan inf 1e999",
-        "TEMP? TEMP, S25.0 H L-45 MODE, CONSTANT RUN3 MON? *IDN? SETP1, RUNM PVAR1? STOP",
-        ":SOURCE:CLOOP1:SPOINT :UNIT:TEMPERATURE? F ? ; , \x00 \xe9 \xb2",
-    )
-    for word in line.split(" ")
-]
+HEADS_AND_CHAMBERS = """\
+/1 1 07 get set move abs rel home stop warnings clear pos maxspeed comm.checksum 384000 -1 :4F :
+:mode:position :mode:rate :demand:rate :demand:position :read:position 1, 045.000 nan inf 1e999
+TEMP? TEMP, S25.0 H L-45 MODE, CONSTANT RUN3 MON? *IDN? SETP1, RUNM PVAR1? STOP
+:SOURCE:CLOOP1:SPOINT :UNIT:TEMPERATURE? F ? ; , \x00 \xe9 \xb2"""
+NEWPORT = "1 2 PA PR TP MD MO MF ST VA SN OR TB? TE? *IDN? ? ; , -5 45.0 nan inf 1e9 \x00 \xe9"
+SCPI = """\
+CONF VOLT : ; ? , DC RANG NPLC AUTO SAMP:COUN TRIG:SOUR BUS IMM INIT :INIT :ABOR READ? FETC? *TRG *WAI *RST 2 10
+1024 -1 -1E 0.02 1e999 MIN MAX INF ' " #H :TRAC:DATA? :TRAC:POIN :TRAC:FEED:CONT NEXT NEV ON OFF 'VOLT \x00 \xe9"""
+KINDS: dict[str, tuple[Callable[[World], Dialect], str]] = {
+    "zaber": (lambda world: ZaberStage(world, steps_per_degree=1000.0), HEADS_AND_CHAMBERS),
+    "acutrol": (AcutrolTable, HEADS_AND_CHAMBERS),
+    "esp301": (Esp301, NEWPORT),
+    "espec": (EspecP300, HEADS_AND_CHAMBERS),
+    "f4t": (WatlowF4T, HEADS_AND_CHAMBERS),
+    "thermotron": (Thermotron8800, HEADS_AND_CHAMBERS),
+    "34401a": (lambda world: Agilent34401A(world.terminals("x"), world.clock), SCPI),
+    "2000": (lambda world: Keithley2000(world.terminals("x"), world.clock), SCPI),
+}
 
 
-@pytest.mark.parametrize("kind", ["zaber", "acutrol", "espec", "f4t", "thermotron"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_nothing_that_is_sent_breaks_it(kind: str) -> None:
+    """Seed 20261121: 2000 messages of up to six words, with and without blanks, now and then endless."""
     world = a_world()
-    dialects: dict[str, Dialect] = {
-        "zaber": ZaberStage(world, steps_per_degree=1000.0),
-        "acutrol": AcutrolTable(world),
-        "espec": EspecP300(world),
-        "f4t": WatlowF4T(world),
-        "thermotron": Thermotron8800(world),
-    }
-    dialect = dialects[kind]
+    make, text = KINDS[kind]
+    dialect, words = make(world), text.split()
     generator = random.Random(20261121)  # noqa: S311
     for _ in range(2000):
-        parts = [generator.choice(WORDS) for _ in range(generator.randint(0, 5))]
+        parts = [generator.choice(words) for _ in range(generator.randint(0, 6))]
         message = generator.choice(("", " ")).join(parts).encode("latin-1")
-        reply = dialect.handle(message + b"9" * generator.choice((0, 0, 5000)), lambda: False)
+        reply = dialect.handle(message + b"9" * generator.choice((0, 0, 5000)), never)
         assert reply is None or reply.isascii()
         world.clock.sleep(generator.choice((0.0, 0.3, 2.0)))
     assert abs(world.scale_angle_rad) < 1e6
     assert -80.0 < world.chamber_c < 200.0
+    if isinstance(dialect, Agilent34401A | Keithley2000):
+        dialect.device_clear()
+        assert tell(dialect, "*RST;*CLS;*IDN?") == dialect.identity

@@ -2,10 +2,6 @@
 
 import pytest
 
-from drivers.instruments.keysight_34461a import Keysight34461A as Driver
-from drivers.interfaces import VoltmeterSettings
-from drivers.wire.visa import MessageSession
-from sim.bench import SimulatedBench
 from sim.keysight_34461a import Keysight34461A
 from sim.world.world import World
 from tests.support.simulated_stand import a_world, tell
@@ -46,19 +42,3 @@ def test_readings_of_read_are_kept(meter: Keysight34461A) -> None:
     reply = tell(meter, "CONF:VOLT:DC 10;:READ?")
     assert reply is not None
     assert tell(meter, "FETC?") == reply
-
-
-@pytest.mark.parametrize("identity", ["DEF", "HP34401A"])
-def test_the_driver_reads_it_in_either_identity(world: World, meter: Keysight34461A, identity: str) -> None:
-    tell(meter, f"SYST:IDEN {identity}")
-    with SimulatedBench(world, {"voltmeter.x": meter}) as bench:
-        session = MessageSession("voltmeter.x", bench.resources["voltmeter.x"], timeout_s=5.0)
-        driver = Driver("voltmeter.x", "x", session, world.clock)
-        try:
-            driver.open()
-            driver.configure(VoltmeterSettings(10.0, 10.0, 3))
-            driver.start()
-            assert driver.fetch() == {"x": pytest.approx([world.signal_v("x")] * 3, abs=1e-8)}
-        finally:
-            driver.close()
-    assert (meter.configuration.autozero, meter.configuration.high_impedance) == (True, True)

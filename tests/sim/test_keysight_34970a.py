@@ -3,16 +3,9 @@
 import numpy as np
 import pytest
 
-from bench.model import Block, Distribution, ForwardModel
-from bench.model.geometry import INSTALLATION_1
-from drivers.instruments.keysight_34970a import Keysight34970A as Driver
-from drivers.interfaces import VoltmeterSettings
-from drivers.wire.visa import MessageSession
-from sim.bench import SimulatedBench
 from sim.keysight_34970a import Keysight34970A
 from sim.world.chance import keyed_generator
 from sim.world.clock import VirtualClock
-from sim.world.world import World, WorldSettings
 from tests.support.simulated_stand import ask, tell
 
 NO_ERROR = '+0,"No error"'
@@ -233,34 +226,3 @@ def test_rs232_wants_remote_first(clock: VirtualClock) -> None:
 
 
 # --- the driver over a socket -----------------------------------------------------------------------
-
-
-def test_the_driver_reads_the_worlds_three_signals() -> None:
-    block = Block(
-        np.array([[-2.177, 0.011, 0.021], [0.006, -2.142, 0.033], [0.012, 0.024, -2.163]]),
-        np.array([0.07, -0.2, -0.41]),
-    )
-    world = World(
-        WorldSettings(
-            block, ForwardModel({"1": INSTALLATION_1}), {"setting_error": Distribution(4.8e-5)}, seed=5
-        ),
-        VirtualClock(),
-    )
-    channels = {"x": 103, "y": 101, "z": 102}
-    wiring = {number: world.terminals(signal) for signal, number in channels.items()}  # type: ignore[arg-type]
-    meter = Keysight34970A(wiring, world.clock, noise=False)
-    with SimulatedBench(world, {"voltmeter": meter}) as bench:
-        session = MessageSession("voltmeter", bench.resources["voltmeter"], timeout_s=5.0)
-        driver = Driver("voltmeter", channels, session, world.clock)  # type: ignore[arg-type]
-        try:
-            assert driver.open().model == "34970A"
-            driver.configure(VoltmeterSettings(10.0, 100.0, 4))
-            world.turn(np.radians(45.0), 1)
-            driver.start()
-            samples = driver.fetch()
-            assert driver.channels == tuple(samples) == ("y", "z", "x")
-            for channel, values in samples.items():
-                assert values == pytest.approx([world.signal_v(channel)] * 4, abs=1e-8)
-            assert world.clock.now_s() == pytest.approx(4 * 3 * (0.104 + 4.0))
-        finally:
-            driver.close()

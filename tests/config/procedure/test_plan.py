@@ -6,7 +6,7 @@ import math
 from dataclasses import fields, replace
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.config.procedure.plan import (
@@ -79,6 +79,7 @@ steps = st.one_of(
 )
 
 
+@settings(max_examples=40)
 @given(texts, st.lists(steps, max_size=6).map(tuple), texts)
 def test_a_plan_survives_json(name, some_steps, sha256):
     plan = Plan(name, some_steps, sha256)

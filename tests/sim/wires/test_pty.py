@@ -12,12 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-import pyvisa
 
-from drivers.clock import SystemClock
-from drivers.instruments.agilent_34401a import Agilent34401A as Driver
-from drivers.interfaces import VoltmeterSettings
-from drivers.wire.visa import MessageSession
 from sim.agilent_34401a import Agilent34401A
 from sim.bench import SimulatedBench
 from sim.wires.server import TERMINALS, TerminalServer
@@ -97,13 +92,6 @@ def test_the_instrument_does_not_hear_itself() -> None:
         assert client.ask(b"SYST:ERR?\n") == b'+0,"No error"\r\n'
 
 
-def test_control_c_is_device_clear() -> None:
-    with one_meter() as (_, path), Client(path) as client:
-        client.write(b"TRIG:SOUR BUS;:INIT\n")
-        client.write(b"\x03*TRG\n")
-        assert client.ask(b"SYST:ERR?\n") == b'-211,"Trigger ignored"\r\n'
-
-
 def test_a_reply_that_nobody_reads_is_given_up_at_a_device_clear() -> None:
     with one_meter() as (_, path), Client(path) as client:
         # 12 memories of 8 kB are more than any terminal buffers.
@@ -144,34 +132,6 @@ def test_tcp_and_terminal_share_one_instrument_and_keep_their_own_replies() -> N
         tcp.close()
     assert set(answers["tcp"]) == {IDENTITY + b"\n"}
     assert set(answers["pty"]) == {b"+1.000000E+01\r\n"}
-
-
-@pytest.mark.parametrize("interface", ["lan", "rs232"])
-def test_the_driver_measures_over_the_terminal(interface: str) -> None:
-    with one_meter(interface) as (bench, _):
-        session = MessageSession("v", bench.terminals["v"].resource, read_termination="\n")
-        driver = Driver("v", "x", session, SystemClock(), interface=interface)  # type: ignore[arg-type]
-        driver.open()
-        driver.configure(VoltmeterSettings(10.0, 10.0, 4))
-        for angle_rad in (0.0, 0.7):
-            bench.world.turn(angle_rad, 1)
-            driver.start()
-            expected = [bench.world.signal_v("x")] * 4
-            assert driver.fetch()["x"] == pytest.approx(expected, abs=1e-8)
-        driver.close()
-
-
-def test_pyvisa_py_with_a_serial_meters_settings() -> None:
-    with one_meter() as (bench, _):
-        visa = pyvisa.ResourceManager("@py").open_resource(
-            bench.terminals["v"].resource,
-            read_termination="\r\n",
-            write_termination="\n",
-            baud_rate=9600,
-            stop_bits=pyvisa.constants.StopBits.two,
-        )
-        assert visa.query("*IDN?") == IDENTITY.decode()  # type: ignore[attr-defined]
-        visa.close()
 
 
 def test_no_descriptor_is_left_over_and_it_starts_again() -> None:
