@@ -24,13 +24,12 @@ def judged(row, index):
 @pytest.mark.slow
 @pytest.mark.parametrize("row", [Row("null"), Row("null", noise_factor=1.3)], ids=lambda row: row.key)
 def test_nothing_is_found_where_nothing_is(row):
-    for index in range(3):
-        assert judged(row, index)[2]["agrees"]
+    assert judged(row, 0)[2]["agrees"]
 
 
 @pytest.mark.slow
 def test_an_effect_of_20_is_found_and_the_truth_is_in_the_set():
-    for index in range(0, 30, 5):
+    for index in range(0, 30, 10):
         answer, diagnosis, marks = judged(Row("single", rho=20), index)
         assert marks["detected"]
         assert any(answer.names[0] in names for names in sets_given(diagnosis)), answer.names

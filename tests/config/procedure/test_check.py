@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from bench.calibration import CalibrationError
 from bench.calibration.observability import require_rank
-from bench.cli.app import main
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.check import check, disk_needed_bytes, operator_actions, undetermined
 from bench.config.procedure.load import load_procedure
@@ -27,26 +26,6 @@ from drivers.interfaces import VoltmeterLimits, VoltmeterSettings
 from tests.support.procedure_texts import HEAD, load_steps
 
 SHIPPED = find_bench("paper-stand")
-
-
-@pytest.fixture(autouse=True)
-def _empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("BENCH_FILE", "BENCH_RUNS"):
-        monkeypatch.delenv(name, raising=False)
-
-
-@pytest.fixture
-def bench(capsys):
-    """Run a command; return (exit status, standard output, standard error)."""
-
-    def call(*arguments):
-        with pytest.raises(SystemExit) as exit_:
-            main([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        return exit_.value.code, out, err
-
-    return call
 
 
 def written(steps, head=HEAD):
@@ -111,9 +90,9 @@ def test_every_problem_is_told_at_once_and_the_status_says_so(bench):
     assert (status, err) == (1, "")
     told = [line for line in out.splitlines() if line.startswith("cannot be done: ")]
     for words in (
-        "no installation 7",
-        "integrate over 5 NPLC",
-        "1000 samples",
+        "mount/7: the bench file has no installation 7 (it has 1, 2, V, 1T90, 2T90, 1T180, 2T180)",
+        "do not integrate over 5 NPLC; take one of 0.02, 0.2, 1, 10, 100",
+        "1000 samples are more than the 512 that a voltmeter holds",
         "the reference of 50 V",
         "80 °C is outside what the block",
     ):
@@ -177,7 +156,7 @@ def test_a_disk_that_is_too_full_is_a_problem(bench, monkeypatch):
 
 
 @pytest.mark.slow
-def test_what_a_dry_run_wrote_is_within_what_was_foreseen(dry_run_of_paper):
+def test_what_a_dry_run_wrote_is_within_what_was_foreseen(bench, dry_run_of_paper):
     plan = load_procedure(find_procedure("paper")).plan
     used = sum(file.stat().st_size for file in dry_run_of_paper.iterdir())
     assert used < disk_needed_bytes(plan) < 10 * used

@@ -64,6 +64,16 @@ class Tap(Step):
         at.person.ask(Prompt(self.key, PromptKind.CONFIRM, words, default="yes", action={"do": "answer"}))
         return Tapped(self.taps)
 '''
+EACH = """\
+import sys
+from bench.cli.program import main
+for command in sys.argv[1:]:
+    sys.argv = ["bench", *command.split()]
+    try:
+        assert not main()
+    except SystemExit as end:
+        assert not end.code, end.code
+"""
 PROCEDURE = """\
 procedure: tapped
 title: Tapped
@@ -75,7 +85,7 @@ steps:
 
 @pytest.fixture
 def program(tmp_path):
-    """Return what runs a copy of the program that has one kind of step more."""
+    """Return what runs commands, in one process, of a copy of the program that has one kind of step more."""
     shutil.copytree(ROOT / "bench", tmp_path / "bench", ignore=shutil.ignore_patterns("__pycache__"))
     for shipped in ("config", "procedures"):
         (tmp_path / shipped).symlink_to(ROOT / shipped)
@@ -91,8 +101,8 @@ def program(tmp_path):
     )
     (tmp_path / "tapped.yaml").write_text(PROCEDURE, encoding="utf-8")
 
-    def run(*arguments):
-        command = [sys.executable, "-c", "from bench.cli.program import main; main()", *arguments]
+    def run(*commands):
+        command = [sys.executable, "-c", EACH, *commands]
         path = os.pathsep.join([str(tmp_path), str(ROOT)])
         environment = {**os.environ, "PYTHONPATH": path}
         return subprocess.run(  # noqa: S603 - a copy of the program
@@ -103,13 +113,14 @@ def program(tmp_path):
 
 
 def test_a_kind_of_step_is_one_new_module_and_one_edited_file(program, tmp_path):
-    checked = program("check", "tapped.yaml", "--bench", "paper-stand", "--json", "check.json")
-    assert checked.returncode == 0, checked.stderr
-    assert "tap the block 5 times" in checked.stdout
+    done = program(
+        "check tapped.yaml --bench paper-stand --json check.json",
+        "run tapped.yaml --bench paper-stand --dry-run --name one",
+    )
+    assert done.returncode == 0, done.stderr
+    assert "tap the block 5 times" in done.stdout
     found = json.loads((tmp_path / "check.json").read_text(encoding="utf-8"))
     assert found["counts"]["tap"] == 2
     assert found["expected_by_kind_s"]["tap"] == pytest.approx(8 * 30.0)
-    ran = program("run", "tapped.yaml", "--bench", "paper-stand", "--dry-run", "--name", "one")
-    assert ran.returncode == 0, ran.stderr
     brought = [e.data["taps"] for e in read_history(tmp_path / "runs/one").events if "taps" in e.data]
     assert brought == [5, 3]
