@@ -18,7 +18,6 @@ NEVER_S = 120.0
 """No trial is judged by its time here: a machine that is busy is not a fault."""
 INT, TERM = signal.SIGINT, signal.SIGTERM
 TRIALS = [
-    Trial(0, "turn", "single", (INT,), 0.0, "none"),
     Trial(1, "run_failed", "burst", (TERM, INT, INT, TERM, INT, INT, TERM), 0.0, "meter hangs"),
     Trial(2, "run_finished", "double", (INT, TERM), 0.0, "none"),
     Trial(3, "temperature", "late second", (INT, INT), 0.1, "chamber hangs"),

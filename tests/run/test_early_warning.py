@@ -88,7 +88,7 @@ def channels(order, signs=(1, 1, 1)):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("noise_v", "runs"), [(1e-4, 60), (2e-5, 40)])
+@pytest.mark.parametrize(("noise_v", "runs"), [(1e-4, 40), (2e-5, 20)])
 def test_good_runs_are_silent(noise_v, runs):
     """No more alarms than 1 % of runs would give but once in a thousand times."""
     alarms = sum(bool(watch(run_of([7, k], noise_v))) for k in range(runs))
@@ -104,7 +104,6 @@ def test_noise_as_large_as_stated_is_found_to_be_so():
     assert found.setting_rad < 2.5 * SETTING_U_RAD
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "cause"),
     [
@@ -117,17 +116,17 @@ def test_noise_as_large_as_stated_is_found_to_be_so():
 )
 @pytest.mark.parametrize("seed", [1, 2])
 def test_swapped_channels_are_seen_by_point_3_and_named(order, cause, seed):
-    signs = watch(run_of(seed, wired=channels(order)))
-    assert signs[0][0] <= 3
+    signs = watch(run_of(seed, wired=channels(order))[:3])
     third = next(sign for number, sign in signs if number == 3)
     assert cause in third.causes[0]
     assert len(third.causes) == (1 if "swapped" in cause else 2)  # in turn: or the block sits otherwise
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("channel", "seen"), [("x", 2), ("y", 28), ("z", 1)])
 def test_a_reversed_channel_is_seen_where_it_first_feels_gravity(channel, seen):
-    signs = watch(run_of(3, wired=channels([0, 1, 2], [-1 if c == channel else 1 for c in "xyz"])))
+    signs = watch(
+        run_of(3, wired=channels([0, 1, 2], [-1 if c == channel else 1 for c in "xyz"]))[: seen + 2]
+    )
     assert signs[0][0] == seen
     assert signs[0][1].channels == (channel,)
     assert f"channel {channel} is reversed" in signs[1][1].causes
@@ -135,18 +134,17 @@ def test_a_reversed_channel_is_seen_where_it_first_feels_gravity(channel, seen):
 
 def test_a_head_that_counts_the_other_way_is_named_with_what_looks_the_same():
     """In installation 1 no reading tells it from a reversed x."""
-    signs = watch(run_of(3, off_rad=-2 * plan()[3]))
+    signs = watch(run_of(3, off_rad=-2 * plan()[3])[:3])
     assert signs[1][0] == 3
     assert set(signs[1][1].causes) == {"the head counts the other way", "channel x is reversed"}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stated", "actual", "by"), [("1", "2", 3), ("2", "1", 29), ("V", "1", 55), ("2", "V", 29)]
 )
 def test_a_wrong_installation_is_named(stated, actual, by):
     labels = [actual if label == stated else label for label in plan()[0]]
-    signs = dict(watch(run_of(3, actual=labels)))
+    signs = dict(watch(run_of(3, actual=labels)[:by]))
     assert signs[by].causes == (f"the block sits in installation {actual}, not in {stated}",)
 
 
@@ -284,7 +282,7 @@ def test_temperature_may_change_the_block_by_what_is_plausible():
     ]
     assert not watch([*cold, *warm], EarlyWarning(NOMINAL, MODEL, BENCH_U, readings=2 * N))
     warm = [replace(row, temperature_c=23.0) for row in warm]
-    assert watch([*cold, *warm], EarlyWarning(NOMINAL, MODEL, BENCH_U, readings=2 * N))
+    assert watch([*cold, *warm[:6]], EarlyWarning(NOMINAL, MODEL, BENCH_U, readings=2 * N))
 
 
 def test_effects_of_the_model_are_expected():
