@@ -3,13 +3,11 @@
 import re
 
 import pytest
-import yaml
 
 from bench.calibration import ESTIMATORS
 from bench.config.bench_file.file import BenchFile
 from bench.config.model_file import load_model
 from bench.config.procedure.file import VERBS, ProcedureFile
-from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.model.effects import CATALOGUE
 from bench.readings import csv
 from docs.generators import PAGES, write_pages
@@ -35,33 +33,6 @@ def test_every_key_of_files_that_people_write_stands_on_a_page(made):
         for model in reachable(root):
             for key, field in model.model_fields.items():
                 assert f"| `{field.alias or key}` |" in made[name], f"{model.__name__}.{key}"
-
-
-@pytest.mark.parametrize(("kind", "name"), [(CONFIG, "bench-files.md"), (PROCEDURES, "procedure-files.md")])
-def test_what_the_shipped_files_say_stands_on_a_page(made, kind, name):
-    def keys(value):
-        if isinstance(value, dict):
-            for key, inner in value.items():
-                yield str(key)
-                yield from keys(inner)
-        elif isinstance(value, list):
-            for inner in value:
-                yield from keys(inner)
-
-    free = {
-        "1",
-        "2",
-        "V",
-        "x",
-        "y",
-        "z",
-        "K2",
-        "K3",
-    }  # names of installations and channels, of effects' parameters
-    known = set(re.findall(r"\| `(\w+)` \|", made[name]))
-    for path in shipped_folder(kind).glob("*.yaml"):
-        said = {key for key in keys(yaml.safe_load(path.read_text(encoding="utf-8"))) if not key[0].isdigit()}
-        assert said - free <= known, path.name
 
 
 def test_effects_estimators_verbs_columns_drivers_and_commands_stand_on_their_pages(made):

@@ -19,14 +19,10 @@ from drivers.interfaces import (
     BenchError,
     Identity,
     InstrumentLost,
-    InstrumentRefused,
-    LimitExceeded,
-    ThermalChamber,
     VoltmeterSettings,
 )
 from drivers.wire.replay import replayed
 from sim.wires.session import DROP, SILENCE, WireFault
-from tests.support.instrument_stand import written_bench
 from tests.support.scripted_session import ScriptedSession
 from tests.support.simulated_stand import a_world, served
 
@@ -90,40 +86,6 @@ def test_the_pages_session_is_gone_through_again(
     page["test_a_session_of_a_34461a"]()
 
 
-def test_the_driver_runs_against_the_simulated_chamber(page: dict[str, Any]) -> None:
-    world = a_world()
-    with served(page["Frostline7"](world), "chamber", world) as session:
-        chamber = page["FrostlineChamber"]("chamber", session, world.clock, LIMITS)
-        assert isinstance(chamber, ThermalChamber)
-        assert chamber.open() == Identity("Frostline", "7")
-        with pytest.raises(LimitExceeded):
-            chamber.set_temperature(90.0, "1/temperature")
-        chamber.set_temperature(40.0, "1/temperature")
-        world.clock.sleep(3 * 3600.0)
-        assert chamber.temperature("2/read") == pytest.approx(40.0, abs=0.05)
-        assert world.chamber_c == pytest.approx(40.0, abs=0.05)
-        assert chamber.make_safe() == ""
-        world.clock.sleep(24 * 3600.0)
-        assert world.chamber_c == pytest.approx(23.0, abs=0.1)
-        chamber.close()
-        chamber.close()
-
-
-def test_the_driver_refuses_another_instrument_and_a_chamber_that_forgot(page: dict[str, Any]) -> None:
-    world = a_world()
-    dialect = page["Frostline7"](world)
-    with served(dialect, "chamber", world) as session:
-        chamber = page["FrostlineChamber"]("chamber", session, world.clock, LIMITS)
-        chamber.open()
-        chamber.set_temperature(40.0, "1/temperature")
-        dialect.power_cycle()
-        with pytest.raises(InstrumentRefused, match=r"set point is 23 °C, not the 40 °C"):
-            chamber.temperature("2/read")
-    other = ScriptedSession([("ID?", "ICEMAKER 7")])
-    with pytest.raises(InstrumentRefused, match="ICEMAKER"):
-        page["FrostlineChamber"]("chamber", other, other.clock, LIMITS).open()
-
-
 def test_on_a_wire_that_fails_the_driver_tells_the_truth_or_why_not(page: dict[str, Any]) -> None:
     world = a_world()
     generator = random.Random(SEED)  # noqa: S311
@@ -155,13 +117,6 @@ def test_on_a_wire_that_fails_the_driver_tells_the_truth_or_why_not(page: dict[s
     assert arrived >= 3
     assert messages
     assert all(message.startswith("chamber: ") for message in messages)
-
-
-def test_its_section_stands_in_a_bench_file_and_in_a_dry_run(bench, page, tmp_path, monkeypatch):
-    monkeypatch.setattr("bench.results.page.render_report", lambda _content: "")
-    path = written_bench(devices().get("frostline"), tmp_path)
-    status, out, err = bench("run", "quick", "--dry-run", "--bench", path, "--name", "run")
-    assert (status, err) == (0, ""), out
 
 
 @pytest.mark.slow

@@ -214,11 +214,6 @@ def test_nothing_is_fetched_that_was_not_started() -> None:
     assert script.left == []
 
 
-def test_starting_without_settings_is_refused() -> None:
-    with pytest.raises(InstrumentRefused, match="configure it"):
-        meter(ScriptedSession()).start()
-
-
 # --- lost and found ---------------------------------------------------------------------------------
 
 

@@ -143,19 +143,6 @@ def test_channel_delay_is_validated(delay_s: float, named: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "named"),
-    [
-        (VoltmeterSettings(10.0, 10.0, 16_667), "16667 samples (its memory holds 1 to 16666)"),
-        (VoltmeterSettings(1000.0, 10.0, 1), "range of 1000 V (it has 0.1, 1, 10, 100, 300 V)"),
-        (VoltmeterSettings(10.0, 5.0, 1), "5 NPLC (it has 0.02, 0.2, 1, 2, 10, 20, 100, 200)"),
-    ],
-)
-def test_limits_are_checked_before_anything_is_sent(settings: VoltmeterSettings, named: str) -> None:
-    with pytest.raises(LimitExceeded, match=re.escape(named)):
-        meter(ScriptedSession()).configure(settings)
-
-
-@pytest.mark.parametrize(
     ("command", "reply", "named"),
     [
         ("ROUT:SCAN?", "#210(@101,102)", "ROUT:SCAN? answers #210(@101,102), not #214(@101,102,103)"),

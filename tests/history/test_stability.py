@@ -50,25 +50,6 @@ def test_the_ln100_is_told_to_be_more_than_its_five_terms():
     assert terms.p < 0.001
 
 
-def test_white_noise_falls_with_the_root_of_the_samples():
-    """sigma/sqrt(m), each within the chi-square limits of its degrees of freedom at 99.9 %."""
-    noise = np.random.default_rng(11).normal(3.0, 2e-4, 2**14)
-    curve = allan_curve(noise, 0.5)
-    assert curve.multiples.tolist() == [2**k for k in range(13)]
-    edf = curve.freedom(np.zeros(len(curve.multiples)))
-    ratio = edf * curve.deviation**2 / (4e-8 / curve.multiples)
-    assert np.all(ratio > stats.chi2.ppf(0.0005, edf))
-    assert np.all(ratio < stats.chi2.ppf(0.9995, edf))
-
-
-def test_the_overlapping_allan_deviation_is_that_of_its_definition():
-    values = np.random.default_rng(12).normal(size=64)
-    m = 5
-    means = np.convolve(values, np.ones(m) / m, "valid")
-    by_hand = np.sqrt(np.mean((means[m:] - means[:-m]) ** 2) / 2)
-    assert allan_curve(values, 2.0, [m]).deviation[0] == pytest.approx(by_hand, rel=1e-12)
-
-
 def test_confidence_limits_hold_as_often_as_they_say():
     """200 records: the truth lies outside 95 % limits 10 times on average, 22 or more with 0.03 %."""
     outside = np.zeros(9)

@@ -5,17 +5,14 @@ import math
 
 import pytest
 
-from bench.run.events import Event, EventType, Wish
+from bench.run.events import Event, EventType
 from bench.run.person import (
     ANSWERS,
     AnswersFile,
-    ControlFile,
     LeftAnswer,
-    RunControl,
     WishAuthor,
     asked_to_json,
     leave_answer,
-    leave_wish,
     open_prompt,
     problem_with_answer,
     understood_answer,
@@ -66,14 +63,6 @@ def test_what_was_heard_before_is_passed_over(tmp_path):
         leave_answer(tmp_path, LeftAnswer(str(number), "yes"))
     assert AnswersFile(tmp_path, 2).poll().id == "2"
     assert AnswersFile(tmp_path, 9).poll() is None
-
-
-def test_a_wish_says_who_has_it(tmp_path):
-    controls = ControlFile(tmp_path)
-    leave_wish(tmp_path, RunControl(Wish.PAUSE, "coffee", who=ANN))
-    leave_wish(tmp_path, RunControl(Wish.CONTINUE))
-    assert controls.poll() == RunControl(Wish.PAUSE, "coffee", who=ANN)
-    assert controls.poll() == RunControl(Wish.CONTINUE)
 
 
 # --- the question that stands -----------------------------------------------------------------------

@@ -45,9 +45,13 @@ def test_a_campaign_draws_every_phase_pattern_and_trouble():
 SEED = 20261122
 
 
-def test_a_short_campaign_has_no_violation(tmp_path: Path) -> None:
-    benches = campaign.stands(tmp_path, campaign.WAYS[1:])
-    trials = campaign.draw(len(campaign.KINDS), SEED, benches)
+@pytest.fixture(scope="module")
+def stands(tmp_path_factory):
+    return campaign.stands(tmp_path_factory.mktemp("stands"), campaign.WAYS[1:])
+
+
+def test_a_short_campaign_has_no_violation(stands, tmp_path: Path) -> None:
+    trials = campaign.draw(len(campaign.KINDS), SEED, stands)
     outcomes = [campaign.carry_out(trial, tmp_path) for trial in trials]
     assert campaign.violations(outcomes) == []
     assert {outcome.trial.kind for outcome in outcomes} == set(campaign.KINDS)
@@ -57,9 +61,9 @@ def test_a_short_campaign_has_no_violation(tmp_path: Path) -> None:
     assert last[5:8] == ["0", "0", "0"]
 
 
-def test_the_judge_sees_a_value_that_is_wrong_and_a_cause_that_is_not_named(tmp_path: Path) -> None:
+def test_the_judge_sees_a_value_that_is_wrong_and_a_cause_that_is_not_named(stands, tmp_path: Path) -> None:
     """Against other values each reading is wrong; and an error must name the supply with the rail."""
-    (stand,) = campaign.stands(tmp_path, campaign.WAYS[1:2])
+    stand = stands[0]
     never = Disturbance("off", stand.duration_s + 1e6, "2")
     trial = campaign.FedTrial("judge", stand, "off", never)
     outcome = campaign.carry_out(trial, tmp_path)
