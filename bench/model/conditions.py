@@ -48,7 +48,8 @@ class HeadTurns:
         steps[rows[1:]] = np.where(other_run, 0.0, within_half_turn(np.diff(angle)))
         begins[rows[:1]] = True
         begins[rows[1:]] = (mount[1:] != mount[:-1]) | other_run
-        self._first = _last_of(begins)
+        self.first: Ints = _last_of(begins)
+        """The first reading of the mounting that each reading is of, as its row."""
         start = _last_of(np.concatenate([np.ones(min(n, 1), dtype=bool), run[1:] != run[:-1]]))
         wound, visit = np.cumsum(steps), np.cumsum(begins)
         self.wound: Floats = wound - wound[start]
@@ -58,12 +59,12 @@ class HeadTurns:
     @property
     def turned(self) -> Floats:
         """Since the block was mounted, with sign."""
-        return np.asarray(self.wound - self.wound[self._first])
+        return np.asarray(self.wound - self.wound[self.first])
 
     @property
     def travelled(self) -> Floats:
         """Since the block was mounted, to and fro."""
-        return np.asarray(self._to_and_fro - self._to_and_fro[self._first])
+        return np.asarray(self._to_and_fro - self._to_and_fro[self.first])
 
 
 def _last_of(begins: Mask) -> Ints:
@@ -145,6 +146,11 @@ class Conditions:
             return pace
         late = np.interp(pace, pace[known], self.time_s[known] - pace[known])
         return np.where(known, self.time_s, pace + late)
+
+    @cached_property
+    def since_mounting_s(self) -> Floats:
+        """The time since the first reading in the mounting of the row, s, shape (n,)."""
+        return np.asarray(self.elapsed_s - self.elapsed_s[self.head_turns.first])
 
     @cached_property
     def switched_on_s(self) -> Floats:

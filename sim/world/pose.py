@@ -165,7 +165,7 @@ class HeadFault:
 
 _OF_THE_PLATFORM: Final = (Stage.STAND, Stage.HEAD_ANGLE)
 _OF_THE_BLOCK: Final = (
-    "bracket_tilt", "mounting_error", "mounting_offset", "mounting_roll", "block_slip",
+    "bracket_tilt", "mounting_error", "mounting_offset", "mounting_roll", "block_slip", "mounting_creep",
 )  # fmt: skip
 """Effects of how the block sits on the platform: no level on the platform shows them."""
 _BLOCK: Final = Block(np.eye(3), np.zeros(3))

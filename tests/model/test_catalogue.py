@@ -16,12 +16,12 @@ from tests.support.effect_bench import BLOCK, effect
 NAMES = [
     "quadratic_nonlinearity", "cubic_nonlinearity", "odd_quadratic_nonlinearity", "scale_asymmetry",
     "cross_coupling", "cross_quadratic", "hysteresis", "thermal_bias", "thermal_scale", "warm_up",
-    "bias_drift", "scale_drift", "turn_on_shift", "supply_sensitivity", "axis_tilt", "zero_offset",
-    "mounting_error",
-    "mounting_offset", "mounting_roll", "head_eccentricity", "head_ellipticity", "head_graduation",
-    "backlash", "axis_wobble", "bracket_tilt", "foundation_tilt", "block_slip", "head_zero_shift",
-    "meters_exchanged", "voltmeter_nonlinearity", "voltmeter_drift", "voltmeter_warm_up", "range_offset",
-    "channel_crosstalk", "voltmeter_gain", "voltmeter_offset", "thermal_emf", "wrong_gravity",
+    "bias_drift", "scale_drift", "turn_on_shift", "scale_step", "thermal_settling", "supply_sensitivity",
+    "axis_tilt", "zero_offset", "mounting_error", "mounting_offset", "mounting_roll", "head_eccentricity",
+    "head_ellipticity", "head_graduation", "backlash", "axis_wobble", "bracket_tilt", "foundation_tilt",
+    "block_slip", "mounting_creep", "head_zero_shift", "meters_exchanged", "voltmeter_nonlinearity",
+    "voltmeter_drift", "voltmeter_warm_up", "range_offset", "channel_crosstalk", "voltmeter_gain",
+    "reference_step", "voltmeter_offset", "thermal_emf", "wrong_gravity",
 ]  # fmt: skip
 
 PER_MOUNT = {
@@ -33,12 +33,18 @@ PER_MOUNT = {
     "mounting_roll",
     "bracket_tilt",
     "block_slip",
+    "mounting_creep",
     "head_zero_shift",
     "meters_exchanged",
+    "scale_step",
+    "reference_step",
 }
-PER_PASS = {"block_slip", "head_zero_shift", "meters_exchanged"}
+PER_PASS = {"block_slip", "head_zero_shift", "meters_exchanged", "scale_step", "reference_step"}
 
-LOOK_BACK = {"thermal_scale", "hysteresis", "thermal_bias", "turn_on_shift", "channel_crosstalk"}
+LOOK_BACK = {
+    "thermal_scale", "hysteresis", "thermal_bias", "turn_on_shift", "thermal_settling", "mounting_creep",
+    "channel_crosstalk",
+}  # fmt: skip
 
 
 def some_values(chosen, rng):

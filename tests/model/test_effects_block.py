@@ -31,6 +31,7 @@ C = np.array([10e-6, -20e-6, 30e-6])
 D = np.array([-7e-6, 9e-6, 4e-6])
 E = np.array([5e-6, 3e-6, -8e-6])
 HOURS = TIME_S[:, None] / 3600
+IN_MOUNTING_H = (TIME_S - np.where(SECOND, TIME_S[18], TIME_S[0]))[:, None] / 3600
 KELVIN = WARMTH_K[:, None]
 A = force()
 AX, AY, AZ = A.T
@@ -72,6 +73,8 @@ CASES = {
     "bias_drift": ({"rate": C / 3600}, KII * C * HOURS),
     "scale_drift": ({"rate": C / 3600}, KII * A * C * HOURS),
     "turn_on_shift": ({"step": C}, np.tile(KII * C, (36, 1))),
+    "scale_step": ({"step": C}, KII * A * C),
+    "thermal_settling": ({"A": C, "tau": 2400.0}, KII * C * np.exp(-IN_MOUNTING_H * 1.5)),
 }
 
 

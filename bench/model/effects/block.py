@@ -325,6 +325,47 @@ class TurnOnShift(BlockEffect):
         return np.broadcast_to(seen.scale * values["step"], seen.signal.shape)
 
 
+class ScaleStep(BlockEffect):
+    """A step of the scale factor of a channel, at a remount, after a pass, or in one pass alone."""
+
+    name = "scale_step"
+    parameters = (Parameter("step", "ppm", 1e-6, plausible=50e-6, per_channel=True),)
+    sentence = "the scale factor of the accelerometer, or of its channel, made a step between two passes"
+    shown_by = "a return to installation 1 at the end; a reference voltage at the inputs in each pass"
+    per_mount = True
+    per_pass = True
+    outlasts_mount = True
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii step_i a_i in volts, shape (n, 3)."""
+        return seen.signal * (seen.scale * values["step"])
+
+
+class ThermalSettling(BlockEffect):
+    """A exp(-t / tau), t since the first reading of each mounting."""
+
+    name = "thermal_settling"
+    parameters = (
+        Parameter("A", "ug", 1e-6, plausible=60e-6, per_channel=True),
+        Parameter(
+            "tau", "min", MINUTE, plausible=20 * MINUTE, per_channel=False,
+            grid=tuple(minutes * MINUTE for minutes in (10, 20, 40, 80)), default=20 * MINUTE,
+        ),
+    )  # fmt: skip
+    sentence = (
+        "the bias of the accelerometer settles after each mounting, warmed by the hand or by the platform"
+    )
+    shown_by = (
+        "a longer wait after each mounting makes it smaller; a pass repeated at once in the same mounting"
+    )
+    needs_history = True
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii A_i exp(-t / tau) in volts, shape (n, 3)."""
+        left = np.exp(-seen.conditions.since_mounting_s / float(values["tau"]))
+        return left[:, None] * (seen.scale * values["A"])
+
+
 # --- supply -----------------------------------------------------------------------------------------
 
 MOST_RAILS: Final = 3

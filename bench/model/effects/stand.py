@@ -6,7 +6,7 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from bench.base.arrays import CHANNELS, HOUR, Floats
+from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats
 from bench.model.effects.base import (
     HeadEffect,
     Parameter,
@@ -228,6 +228,30 @@ class BlockSlip(StandEffect):
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return the angles in their columns, rad, shape (n, 5)."""
         parts = [into(column, values[column], seen.signal) for column in MOUNTING_ANGLES]
+        return np.asarray(np.sum(parts, axis=0))
+
+
+class MountingCreep(StandEffect):
+    """The mounting angles creep to their final values: each by exp(-t / tau), t since the first reading in it."""
+
+    name = "mounting_creep"
+    parameters = (
+        *(angle(column, 20) for column in MOUNTING_ANGLES),
+        Parameter(
+            "tau", "min", MINUTE, plausible=40 * MINUTE, per_channel=False,
+            grid=tuple(minutes * MINUTE for minutes in (20, 35, 60, 90)), default=35 * MINUTE,
+        ),
+    )  # fmt: skip
+    apart = BlockSlip.apart
+    sentence = "the block creeps on the platform after it was clamped: its mounting angles settle with time"
+    shown_by = "a pass repeated at once in the same mounting; a longer wait after clamping makes it smaller"
+    per_mount = True
+    needs_history = True
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return what is left of the angles in their columns, rad, shape (n, 5)."""
+        left = np.exp(-seen.conditions.since_mounting_s / float(values["tau"]))
+        parts = [into(column, values[column] * left, seen.signal) for column in MOUNTING_ANGLES]
         return np.asarray(np.sum(parts, axis=0))
 
 

@@ -115,6 +115,25 @@ class VoltmeterGain(VoltmeterEffect):
         return values["gain"] * seen.signal
 
 
+class ReferenceStep(VoltmeterEffect):
+    """A step of a factor that all channels share: from a remount or a pass on, or in one pass alone."""
+
+    name = "reference_step"
+    parameters = (Parameter("step", "ppm", 1e-6, plausible=20e-6, per_channel=False),)
+    sentence = (
+        "all voltages changed by a common factor between two passes: the reference of the meters made a step, "
+        "or g was another"
+    )
+    shown_by = "a reference voltage at the inputs in each pass; all passes on one day"
+    per_mount = True
+    per_pass = True
+    outlasts_mount = True
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return step U in volts, shape (n, 3)."""
+        return values["step"] * seen.signal
+
+
 class VoltmeterOffset(VoltmeterEffect):
     """A common zero error; the data cannot tell it from the biases."""
 
