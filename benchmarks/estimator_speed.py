@@ -23,12 +23,12 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bench.calibration import Noise, calibrate
-from bench.calibration.batch import calibrate_batch
 from bench.calibration.calibrate import first_guess
 from bench.calibration.design import make_problem
 from bench.calibration.gls import fit
 from bench.readings.table import Readings
 from benchmarks.campaign import arguments
+from benchmarks.many_units import calibrate_batch
 from benchmarks.signed_uncertainty import Calibrator
 from tests.support.honest_runs import MODEL, simulate_many
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, TRUTH, design, simulate, specific_force

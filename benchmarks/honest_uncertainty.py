@@ -32,11 +32,11 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from bench.calibration.batch import calibrate_batch
 from bench.calibration.components import ASKED_P
 from bench.calibration.result import COVERAGE_FACTOR
 from bench.model.geometry import COEFFICIENTS
 from benchmarks.campaign import arguments, finish, outside, parts_of
+from benchmarks.many_units import calibrate_batch
 from tests.support.honest_runs import (
     FEW,
     MODEL,

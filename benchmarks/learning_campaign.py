@@ -24,13 +24,13 @@ import time
 
 import numpy as np
 
-from bench.calibration.batch import Batch, calibrate_batch
 from bench.history.learned import Learned, MeterRun, meter_differences
 from bench.history.learning import learn
 from bench.history.run_sums import run_fit
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2, Installation
 from benchmarks.campaign import Share, arguments
+from benchmarks.many_units import Batch, calibrate_batch
 from tests.support.learning_bench import KINDS, STATED, Bench, simulate
 from tests.support.paper_bench import ARCSEC
 

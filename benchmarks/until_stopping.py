@@ -19,12 +19,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.calibration.batch import Batch, calibrate_batch
 from bench.calibration.noise import LEAST_REPEATS
 from bench.calibration.result import Noise
 from bench.planning.choice import Chooser, Standing
 from bench.planning.pool import PlannedPoint, Visits
 from benchmarks.campaign import arguments
+from benchmarks.many_units import Batch, calibrate_batch
 from benchmarks.until_campaign import (
     MOUNT_RAD,
     NOISES,

@@ -63,11 +63,6 @@ def read_number(text: str) -> float:
     return float(text)
 
 
-def finite_or_none(value: float) -> float | None:
-    """Return a number for JSON: None (null) where it is not finite."""
-    return float(value) if math.isfinite(value) else None
-
-
 def places(u: float) -> int:
     """Decimals that show two significant digits of `u`; negative where u is 100 or more."""
     if not math.isfinite(u) or u <= 0.0:

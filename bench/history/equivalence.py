@@ -223,13 +223,6 @@ def pairs(of: Participants) -> tuple[Pair, ...]:
     return tuple(found)
 
 
-def of_one_unit(x: Sequence[float] | Floats, u: Sequence[float] | Floats) -> Participants:
-    """Return values (N,) of one unit by N benches, one each, with independent standard uncertainties (N,)."""
-    values = np.asarray(x, dtype=float)
-    variance = np.diag(np.square(np.asarray(u, dtype=float)))
-    return Participants(values, variance, np.zeros(len(values), dtype=np.int64), np.arange(len(values)))
-
-
 APART_P: Final = 0.05
 """Level of significance of a difference between benches, for all differences together."""
 

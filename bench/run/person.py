@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -39,8 +39,7 @@ class WishAuthor:
 
     def to_json(self) -> dict[str, str]:
         """Return the author as events and lines in a run's folder record it; an empty dict if nothing is known."""
-        told = {"by": self.by, "role": self.role, "where": self.where}
-        return told if any(told.values()) else {}
+        return asdict(self) if self != NOBODY_KNOWN else {}
 
     @classmethod
     def from_json(cls, line: Mapping[str, Any]) -> WishAuthor:
@@ -153,9 +152,13 @@ class ControlFile:
 
 def leave_wish(folder: Path, control: RunControl) -> None:
     """Write a wish into the folder of a run. Raises `OSError` where it cannot be written."""
-    line = in_json(json.dumps(control.to_json(), ensure_ascii=False))
-    with open_regular(folder / CONTROL, "ab") as file:
-        file.write(line.encode() + b"\n")
+    _leave(folder / CONTROL, control.to_json())
+
+
+def _leave(file: Path, told: Mapping[str, str]) -> None:
+    line = in_json(json.dumps(told, ensure_ascii=False))
+    with open_regular(file, "ab") as lines:
+        lines.write(line.encode() + b"\n")
 
 
 def parse_wish(text: str) -> RunControl:
@@ -206,9 +209,7 @@ class LeftAnswer:
 
 def leave_answer(folder: Path, answer: LeftAnswer) -> None:
     """Write an answer into the folder of a run. Raises `OSError` where it cannot be written."""
-    line = in_json(json.dumps(answer.to_json(), ensure_ascii=False)).encode() + b"\n"
-    with open_regular(folder / ANSWERS, "ab") as file:
-        file.write(line)
+    _leave(folder / ANSWERS, answer.to_json())
 
 
 class AnswersFile:
@@ -274,18 +275,7 @@ class AskedPrompt:
 
 def asked_to_json(prompt: Prompt) -> dict[str, Any]:
     """Return the fields of a prompt that the record keeps."""
-    return {
-        "id": prompt.id,
-        "kind": prompt.kind.value,
-        "text": prompt.text,
-        "default": prompt.default,
-        "unit": prompt.unit,
-        "choices": prompt.choices,
-        "minimum": prompt.minimum,
-        "maximum": prompt.maximum,
-        "action": prompt.action,
-        "picture": prompt.picture,
-    }
+    return {of.name: getattr(prompt, of.name) for of in fields(prompt)} | {"kind": prompt.kind.value}
 
 
 def _asked(event: Event) -> AskedPrompt | None:
@@ -309,18 +299,10 @@ def _asked(event: Event) -> AskedPrompt | None:
     return AskedPrompt(event, prompt)
 
 
-_STANDS: Final = frozenset(
-    {
-        EventType.ASKED,
-        EventType.ANSWER_REFUSED,
-        EventType.WISH_REFUSED,
-        EventType.POWER,
-        EventType.CLOCK_JUMPED,
-        EventType.CHAMBER_SLOW,
-        EventType.SAME_SERIAL,
-        EventType.CERTIFICATE,
-    }
-)
+_STANDS: Final = {
+    EventType.ASKED, EventType.ANSWER_REFUSED, EventType.WISH_REFUSED, EventType.POWER, EventType.CLOCK_JUMPED,
+    EventType.CHAMBER_SLOW, EventType.SAME_SERIAL, EventType.CERTIFICATE,
+}  # fmt: skip
 """Events after which a question is still open; any other event closes it."""
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
 from bench.config.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Step, Turn
@@ -54,20 +54,7 @@ class PlanProgress:
 
     def copy(self) -> PlanProgress:
         """Return a copy that can change independently."""
-        return replace(
-            self,
-            done=set(self.done),
-            skipped=set(self.skipped),
-            redone=Counter(self.redone),
-            begun_s=dict(self.begun_s),
-            identities=dict(self.identities),
-            remounts=dict(self.remounts),
-            in_vain=set(self.in_vain),
-            gone_on=set(self.gone_on),
-            asked=copy(self.asked),
-            chosen=list(self.chosen),
-            left_out=set(self.left_out),
-        )
+        return replace(self, **{of.name: copy(getattr(self, of.name)) for of in fields(self)})
 
     def take(self, event: Event) -> None:  # noqa: PLR0912 - one case for each kind of event
         """Take note of an event."""

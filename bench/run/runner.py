@@ -179,7 +179,7 @@ class Runner:
         if resume:
             self._restore(resume)
         elif self._workbench.power is not None:
-            self._insist(partial(begin, self.plan, self._workbench.switch))
+            self._insist(partial(begin, self.plan, self._workbench.do_power))
         self._carry_out(start)
         self._emit(EventType.RUN_FINISHED)
 
@@ -248,7 +248,7 @@ class Runner:
             kept = (step for i, step in enumerate(before) if i not in self.progress.left_out)
             last = next((step for step in reversed([*kept]) if isinstance(step, kind)), None)
             if isinstance(last, SetTemperature):
-                self._insist(partial(self._workbench.set_temperature, last))
+                self._insist(partial(self._workbench.do_temperature, last))
             elif isinstance(last, Mount) and is_still_to_be_read(self.plan, self.progress, resume.step):
                 self._insist(partial(self._remount, last))
             elif isinstance(last, SelectInput) and last.source != "signal":
@@ -256,7 +256,7 @@ class Runner:
         if (power := self._workbench.power) is not None:
             known = (power, self.plan, resume.step, self.progress)
             self._insist(
-                partial(take_up, *known, self._workbench.switch, partial(self._emit_remounted, why="power"))
+                partial(take_up, *known, self._workbench.do_power, partial(self._emit_remounted, why="power"))
             )
         if resume.turn is not None:
             self._insist(partial(self._step, resume.turn))
@@ -374,7 +374,7 @@ class Runner:
         told = {"wish": control.wish.value, **control.who.to_json()}
         self._emit(EventType.REDO, first=found.first, last=found.last, **told)
         if found.mount is not None:
-            self._insist(partial(self._workbench.mount, found.mount))
+            self._insist(partial(self._workbench.do_mount, found.mount))
             self._emit_remounted(found.mount)
         return min(found.first, index)
 

@@ -31,6 +31,7 @@ SEAL: Final = "seal.json"
 FORMAT: Final = 1
 _PREFIX: Final = b"triaxial-bench seal 1\n"
 """Prefix of the signed bytes: a signature of a seal cannot serve for any other document."""
+_STATED: Final = ("run", "events", "head", "manifest_sha256", "files", "sealed")
 
 
 @dataclass(frozen=True)
@@ -53,17 +54,14 @@ class Seal:
     time_stamp: bytes = b""
 
     @property
+    def _stated(self) -> dict[str, Any]:
+        """The statements of the seal about the record."""
+        return {name: getattr(self, name) for name in _STATED}
+
+    @property
     def signed_bytes(self) -> bytes:
         """The bytes that are signed: all statements of the seal about the record."""
-        told = {
-            "run": self.run,
-            "events": self.events,
-            "head": self.head,
-            "manifest_sha256": self.manifest_sha256,
-            "files": self.files,
-            "sealed": self.sealed,
-        }
-        text = json.dumps(told, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        text = json.dumps(self._stated, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
         return _PREFIX + text.encode()
 
     @property
@@ -75,12 +73,7 @@ class Seal:
         """Return the seal as its file holds it."""
         return {
             "format": FORMAT,
-            "run": self.run,
-            "events": self.events,
-            "head": self.head,
-            "manifest_sha256": self.manifest_sha256,
-            "files": self.files,
-            "sealed": self.sealed,
+            **self._stated,
             "public_key": self.public_key,
             "signature": base64.b64encode(self.signature).decode(),
             "time_stamp": base64.b64encode(self.time_stamp).decode(),
@@ -234,15 +227,9 @@ def read_private(file: Path, passphrase: Callable[[], bytes], wanted: str) -> An
         )
     _check_folder(file)
     try:
-        return _loaded(serialization, pem, passphrase)
+        return serialization.load_pem_private_key(pem, passphrase() if b"ENCRYPTED" in pem else None)
     except (ValueError, TypeError) as error:
         raise RecordError(f"{file}: not a private key ({wanted}), or another passphrase") from error
-
-
-def _loaded(serialization: Any, pem: bytes, passphrase: Callable[[], bytes]) -> Any:
-    if b"ENCRYPTED" in pem:
-        return serialization.load_pem_private_key(pem, passphrase())
-    return serialization.load_pem_private_key(pem, None)
 
 
 def sign(key: Ed25519PrivateKey, message: bytes) -> tuple[str, bytes]:

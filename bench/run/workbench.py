@@ -272,33 +272,10 @@ class Workbench:
         """Carry out a step and return its result, if it has one. Raises `BenchError`."""
         if not isinstance(step, Power):
             self.watch_rails(step.key)
-        match step:
-            case Mount():
-                return self.mount(step)
-            case Turn():
-                return self._turn(step)
-            case Read():
-                return self._read(step)
-            case Wait():
-                self._wait(step)
-                return None
-            case SetTemperature():
-                return self.set_temperature(step)
-            case Settle():
-                return self._settle(step)
-            case SelectInput():
-                return self._select_input(step)
-            case Ask():
-                return self._ask(step)
-            case Power():
-                return self.switch(step)
-            case Level():
-                return self._level(step)
-            case _:  # a kind in a module of its own
-                brought: Result | None = step.carry_out(self)
-                return brought
+        brought: Result | None = step.carry_out(self)
+        return brought
 
-    def mount(self, step: Mount) -> Mounted:
+    def do_mount(self, step: Mount) -> Mounted:
         """Have the block mounted, and ask for its temperature where a person must give it."""
         confirm(self.person, mount_prompt(step, chamber=self.instruments.chamber is not None))
         self._position = None
@@ -311,7 +288,7 @@ class Workbench:
         """Return whether the block is still mounted as this step left it; if not, the person mounts it."""
         return ask(self.person, untouched_prompt(step)) == UNTOUCHED
 
-    def set_temperature(self, step: SetTemperature) -> TemperatureSet:
+    def do_temperature(self, step: SetTemperature) -> TemperatureSet:
         """Set the chamber's temperature."""
         chamber = self._chamber(f"{step.key}: the procedure sets a temperature")
         before_c, self.demanded_c = self.demanded_c, step.target_c
@@ -324,7 +301,7 @@ class Workbench:
         self.temperature_c = None
         return TemperatureSet(step.target_c)
 
-    def switch(self, step: Power) -> Powered:
+    def do_power(self, step: Power) -> Powered:
         """Switch the block; after switching it on, let it warm up."""
         if self.power is None:
             raise BenchError(
@@ -360,17 +337,20 @@ class Workbench:
             )
         return self.instruments.chamber
 
-    def _turn(self, step: Turn) -> Turned:
+    def do_turn(self, step: Turn) -> Turned:
+        """Turn the head."""
         self._position = self.instruments.head.move(step.target_rad, step.direction, step.key)
         return Turned(_degrees(self._position.angle_rad), _degrees(step.target_rad))
 
-    def _level(self, step: Level) -> Levelled:
+    def do_level(self, step: Level) -> Levelled:
+        """Level the platform where the step asks for it, and read the level."""
         levelling = Levelling(self.instruments, self.person, self.bench.setting_u_rad, self._level_zero)
         found = levelling.carry_out(step)
         self._position, self._level_zero = levelling.position, levelling.zero
         return found
 
-    def _wait(self, step: Wait) -> None:
+    def do_wait(self, step: Wait) -> None:
+        """Let bench time pass; hear wishes, and watch rails and chamber meanwhile."""
         end_s = self.clock.now_s() + step.duration_s
         while (left_s := end_s - self.clock.now_s()) > 0:
             self.between_naps()
@@ -378,7 +358,7 @@ class Workbench:
             self._chamber_watch.look(self.instruments.chamber, step.key)
             self.clock.sleep(min(NAP_S, left_s))
 
-    def _settle(self, step: Settle) -> CameToRest:
+    def do_settle(self, step: Settle) -> CameToRest:
         """Wait until the signals, or the temperature of the chamber, stay within the step's precision."""
         criterion = Criterion(step.precision, step.window_s, step.timeout_s, step.interval_s)
 
@@ -418,7 +398,7 @@ class Workbench:
         samples = self._sample(self.instruments.voltmeters)
         return tuple(samples[channel][-1] for channel in CHANNELS)
 
-    def _select_input(self, step: SelectInput) -> InputSelected:
+    def do_input(self, step: SelectInput) -> InputSelected:
         """Have the inputs switched; nothing of the head's position holds for a shorted input."""
         prompt = Prompt(
             id=step.key,
@@ -431,7 +411,8 @@ class Workbench:
         self._reference_v = step.reference_v if step.source == "reference" else None
         return InputSelected(step.source, step.reference_v)
 
-    def _ask(self, step: Ask) -> Answered:
+    def do_ask(self, step: Ask) -> Answered:
+        """Put the question of the procedure to the person."""
         prompt = Prompt(
             id=step.key,
             kind=step.kind,
@@ -445,7 +426,8 @@ class Workbench:
         )
         return Answered(ask(self.person, prompt))
 
-    def _read(self, step: Read) -> Reading:
+    def do_read(self, step: Read) -> Reading:
+        """Take one reading with all voltmeters, temperatures and rails beside it."""
         self._configure(VoltmeterSettings(self.bench.range_v, step.nplc, step.samples))
         self._take_temperature(step.key)
         before = self._rails(step.key)

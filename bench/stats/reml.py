@@ -127,18 +127,20 @@ def scoring_step(
     ridge: float,
     most_change: float = MOST_CHANGE,
 ) -> Floats:
-    """Return variances (k,) after one more scoring step, in relative steps, none below `least`.
+    """Return variances (…, k) after one more scoring step, in relative steps, none below `least`.
 
-    The information (k, k) is widened by a part `damping` of its diagonal and `ridge` of its trace. No variance
+    The information (…, k, k) is widened by a part `damping` of its diagonal and `ridge` of its trace. No variance
     changes by more than a factor of `most_change`; one at `least` stays there where the likelihood falls.
     """
     slope = score * theta
-    curvature = information * np.outer(theta, theta)
     free = (theta > least) | (slope > 0)
-    own = curvature[np.ix_(free, free)]
-    own = own + np.diag(damping * np.diag(own) + ridge * np.trace(own) + 1e-300)
-    step = np.zeros(len(theta))
-    step[free] = np.linalg.solve(own, slope[free])
+    both = free[..., :, None] & free[..., None, :]
+    curvature = np.where(both, information * theta[..., :, None] * theta[..., None, :], 0.0)
+    own = np.diagonal(curvature, axis1=-2, axis2=-1)
+    wider = damping * own + ridge * own.sum(axis=-1, keepdims=True) + 1e-300
+    # a variance that is held has an equation of its own
+    curvature = curvature + np.where(free, wider, 1.0)[..., None] * np.eye(theta.shape[-1])
+    step = np.linalg.solve(curvature, np.where(free, slope, 0.0)[..., None])[..., 0]
     return np.asarray(np.maximum(theta * np.clip(1.0 + step, 1 / most_change, most_change), least))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import Floats, Ints, Mask
+from bench.stats.reml import scoring_step
 
 LEAST_DOF: Final = 4.0
 """Degrees of freedom with which a size of the noise enters at least: a prior stands for those that readings lack.
@@ -41,8 +42,6 @@ DIGITS: Final = 4.0
 
 AT_REST: Final = 1e-4
 """Convergence limit: no parameter moves by more than this part of itself."""
-MOST_CHANGE: Final = 4.0
-"""A step changes no parameter by more than this factor."""
 
 
 def sizes_of(
@@ -252,18 +251,9 @@ def _step(
     prior: Floats | None,
 ) -> Floats:
     score, information = _score_and_information(scatter, weight, slope, theta @ by.T)
-    # relative steps: variances of volts and of angles are many orders apart
-    slopes = score @ by * theta
-    curvature = by.T @ information @ by * theta[:, :, None] * theta[:, None, :]
+    score, information = score @ by, by.T @ information @ by
     if prior is not None:
-        ratio, channels = prior / theta[:, :-1], np.arange(theta.shape[1] - 1)
-        slopes[:, :-1] += LEAST_DOF * (ratio - 1.0)
-        curvature[:, channels, channels] += LEAST_DOF * ratio
-    held = (theta <= bottom) & (slopes <= 0.0)
-    free = ~held
-    curvature *= free[:, :, None] & free[:, None, :]
-    places = np.arange(theta.shape[1])
-    ridge = 1e-12 * curvature.max(axis=(1, 2))[:, None]
-    curvature[:, places, places] += np.where(held, 1.0, ridge)
-    change = np.linalg.solve(curvature, np.where(free, slopes, 0.0)[:, :, None])[:, :, 0]
-    return np.asarray(np.maximum(theta * np.clip(1.0 + change, 1 / MOST_CHANGE, MOST_CHANGE), bottom))
+        own, channels = theta[:, :-1], np.arange(theta.shape[1] - 1)
+        score[:, :-1] += LEAST_DOF * (prior - own) / own**2
+        information[:, channels, channels] += LEAST_DOF * prior / own**3
+    return scoring_step(theta, score, information, bottom, 0.0, 1e-12)

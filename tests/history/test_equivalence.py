@@ -17,10 +17,17 @@ from bench.history.equivalence import (
     WEIGHTED_MEAN,
     Participants,
     equivalence,
-    of_one_unit,
     pairs,
     together,
 )
+
+
+def of_one_unit(x, u):
+    """Return values (N,) of one unit by N benches, one each, with independent standard uncertainties (N,)."""
+    values = np.asarray(x, dtype=float)
+    variance = np.diag(np.square(np.asarray(u, dtype=float)))
+    return Participants(values, variance, np.zeros(len(values), dtype=np.int64), np.arange(len(values)))
+
 
 PCB28 = of_one_unit([34.3, 32.9, 34.53, 32.42, 31.9, 35.8], [1.03, 0.69, 0.83, 0.29, 0.4, 0.38])
 """CCQM-K25, PCB 28 in sediment, ng/g: the example of the NIST Consensus Builder."""

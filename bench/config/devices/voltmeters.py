@@ -208,12 +208,6 @@ class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
         return self
 
     @property
-    def channels_used(self) -> tuple[int, ...]:
-        """The channels of the card that it takes."""
-        pair = SENSORS[self.sensor].pair
-        return (self.channel, self.channel + pair) if pair else (self.channel,)
-
-    @property
     def tolerance_k(self) -> float:
         """The limits of the meter and of the probe at room temperature together, K."""
         sensor = SENSORS[self.sensor]

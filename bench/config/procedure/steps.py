@@ -90,8 +90,8 @@ class ActionVerb(FileModel):
 class Step:
     """A step of a plan; a kind of step is a class.
 
-    `NAME` is the kind in counts and in JSON. A kind in a module of its own carries itself out, and has a `VERB`,
-    which procedure files know as `NAME`. It brings an instance of `BRINGS`, a dataclass, whose fields are recorded.
+    `NAME` is the kind in counts and in JSON. A kind in a module of its own has a `VERB`, which procedure files know
+    as `NAME`. It brings an instance of `BRINGS`, a dataclass, whose fields are recorded.
     """
 
     NAME: ClassVar[str] = ""
@@ -110,8 +110,11 @@ class Step:
         raise NotImplementedError
 
     def carry_out(self, at: AtBench) -> Any:
-        """Carry the step out on a bench; return what it brings, None for nothing. Raises `BenchError`."""
-        raise NotImplementedError
+        """Carry the step out on a bench; return what it brings, None for nothing. Raises `BenchError`.
+
+        A kind that needs the state of the bench has a method there: `do_turn` for the kind "turn".
+        """
+        return getattr(at, f"do_{self.NAME}")(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bench.calibration import CalibrationError, Noise, calibrate
-from bench.calibration.batch import calibrate_batch
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
+from benchmarks.many_units import calibrate_batch
 from tests.calibration.test_gls import NAMES, Dense
 from tests.support.honest_runs import MODEL, simulate_many
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, TRUTH, simulate
