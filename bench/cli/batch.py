@@ -56,7 +56,6 @@ def show(
     """What has come of a batch, as far as it is done; exit status as of the command that made it."""
     from bench.batch.outcome import outcome_in
 
-    printing.check_target(json)
     return 0 if _told(outcome_in(folder), folder, json).accepted() else 1
 
 
@@ -68,7 +67,6 @@ def _carried_out(request: Batch, json: str | None) -> BatchResult:
 
     from bench.batch.outcome import carried_out
 
-    printing.check_target(json)
     with printing.progress(), printing.in_lines():
         result = carried_out(request, printing.notes_aside)
     return _told(result, request.out, json)

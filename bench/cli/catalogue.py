@@ -27,7 +27,6 @@ def sync(request: Sync, json: JsonOption = None) -> int:
     from bench.catalogue.sync import sync as synced
     from bench.catalogue.unit import due_units
 
-    printing.check_target(json)
     on = printing.console(json=json)
     with open_catalogue(request.catalogue, renew=True) as opened:
         if opened.renewed:
@@ -49,7 +48,6 @@ def ask(request: Ask, json: JsonOption = None) -> int:
     from bench.catalogue.questions import answer
     from bench.catalogue.store import open_catalogue
 
-    printing.check_target(json)
     query = request.query or []
     with open_catalogue(request.catalogue, existing=True) as opened:
         found = answer(opened, query, request.of)
@@ -74,7 +72,6 @@ def unit(request: Unit, json: JsonOption = None) -> int:
     from bench.catalogue.unit import unit_history
     from bench.results.catalogue import unit_page
 
-    printing.check_target(json)
     with open_catalogue(request.catalogue, existing=True) as opened:
         result = unit_history(opened, request.name, limit_g=request.limit, interval_days=request.interval)
     on = printing.console(json=json)
@@ -94,7 +91,6 @@ def due(request: DueUnits, json: JsonOption = None) -> int:
     from bench.catalogue.store import open_catalogue
     from bench.catalogue.unit import due_units, until_day
 
-    printing.check_target(json)
     until = until_day(request.before)
     with open_catalogue(request.catalogue, existing=True) as opened:
         result = due_units(

@@ -56,7 +56,6 @@ def issue(request: IssueCertificates, json: JsonOption = None) -> int:
     from bench.certificate.life import drafts, issue_all
     from bench.results.certificate import CertificateResult
 
-    printing.check_target(json)
     outcomes = drafts(request) if request.draft else issue_all(request.names, _desk(request))
     on = printing.console(json=json)
     done = []
@@ -89,7 +88,6 @@ def amend(request: AmendCertificate, json: JsonOption = None) -> int:
     from bench.certificate import life
     from bench.results.certificate import CertificateResult
 
-    printing.check_target(json)
     desk = _desk(request)
     issued = life.amend(request.number, request.run, desk, request.reason, replaced=request.replace)
     printing.write_json([CertificateResult(certificates=[issued]).to_dict()], json)
@@ -118,7 +116,6 @@ def register(request: CheckRegister, json: JsonOption = None) -> int:
     """What was issued: chain and files are checked; exit status 1 where one is not what it was."""
     from bench.certificate.life import checked
 
-    printing.check_target(json)
     result, files = checked(request)
     on = printing.console(json=json)
     printing.write_json([result.to_dict()], json)
@@ -137,7 +134,6 @@ def verify(request: VerifyCertificate, json: JsonOption = None) -> int:
     from bench.certificate.laboratory import load_laboratory
     from bench.certificate.verify import verify_certificate
 
-    printing.check_target(json)
     register = None if request.laboratory is None else load_laboratory(request.laboratory).register_folder
     verdict = verify_certificate(request.file, request.trust, runs_folder(request.runs), register)
     result = verdict.result()
@@ -155,7 +151,6 @@ def read(request: ReadCertificate, json: JsonOption = None) -> int:
     from bench.results.certificate import print_coefficients
     from bench.services.source import check_gravity
 
-    printing.check_target(json)
     check_gravity(request.g)
     on = printing.console(json=json)
     root, notes = document_in(request.file)

@@ -44,7 +44,6 @@ def calibrate(
     from bench.services.calibration import calibrated
     from bench.services.source import done, each, load_each, reading
 
-    printing.check_target(json)
     asked = requests[0]
     loaded = load_each(reading(asked, *(one.source for one in requests), out=out))
     printing.bench_files(done(loaded), json)
@@ -72,7 +71,6 @@ def verify(requests: list[Verify], json: JsonOption = None, out: OutOption = Non
     from bench.services.source import done, each, load_each, reading
     from bench.services.verification import VerdictOptions
 
-    printing.check_target(json)
     asked = requests[0]
     VerdictOptions.of(asked)
     loaded = load_each(reading(asked, *(one.source for one in requests), out=out))
@@ -103,7 +101,6 @@ def report(request: Report, json: JsonOption = None, out: OutOption = None) -> i
     from bench.services.source import load_sources, reading
     from bench.services.verification import VerdictOptions
 
-    printing.check_target(json)
     asked = VerdictOptions.of(request)
     (loaded,) = load_sources(reading(request, request.source, out=out))
     on = printing.console(json=json)
@@ -136,7 +133,6 @@ def coefficients(request: Coefficients, json: JsonOption = None, out: OutOption 
     from bench.services.compensation import results_of
     from bench.services.source import reading
 
-    printing.check_target(json)
     forms = forms_of(list(request.forms or ["json"]))
     given = results_of(reading(request, *request.sources, out=out))
     nominal = nominal_of(request.nominal, [one.result for one in given])
@@ -166,7 +162,6 @@ def compensate(
     from bench.services.compensation import compensated
     from bench.services.source import load_sources, reading
 
-    printing.check_target(json)
     loaded = load_sources(reading(request, *request.sources, out=out))
     on = printing.console(json=json)
     printing.bench_files(loaded, json)
@@ -195,7 +190,6 @@ def tumble(
     from bench.services.compensation import tumbled
     from bench.services.source import load_sources, reading
 
-    printing.check_target(json)
     loaded = load_sources(reading(request, *request.sources, out=out))
     printing.bench_files(loaded, json)
     terms = [term.strip() for term in request.terms.split(",") if term.strip()]
@@ -240,7 +234,6 @@ def carried_out(request: Diagnose, target: str | None, *, together: bool) -> lis
     from bench.services.diagnosis import diagnosed, print_diagnosed
     from bench.services.source import done
 
-    printing.check_target(target)
     bodies = [whole_body(request)] if together else single_bodies(request)
     printing.bench_files([body.source for body in done(bodies)], target)
     with printing.progress():
@@ -259,7 +252,6 @@ def confirm(request: Confirm, json: JsonOption = None) -> int:
     from bench.services.confirmation import confirmation_of
     from bench.services.source import load_sources, reading
 
-    printing.check_target(json)
     (source,) = load_sources(reading(request, request.source))
     printing.bench_files([source], json)
     with printing.progress():

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, TypeVar
 
 import typer
 
@@ -13,8 +14,13 @@ from bench.services.errors import Refused
 from bench.services.requests.history import Capability, CompareBenches, DriftOfUnit, OfFleet
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from bench.catalogue.values import CoefficientTable
     from bench.history.measured import ComparedCalibrations
+    from bench.results.fleet import FleetResult
+
+    Told = TypeVar("Told", bound=FleetResult)
 
 GROUP: Final = typer.Typer(
     name="fleet",
@@ -32,12 +38,8 @@ def effects(request: OfFleet, json: JsonOption = None) -> int:
     from bench.history.bench_or_block import bench_or_block
     from bench.results.fleet import effects_result, print_effects
 
-    printing.check_target(json)
     measured, notes = _measured(request)
-    result = effects_result(bench_or_block(measured), notes)
-    print_effects(result, printing.console(json=json))
-    printing.write_json([result.to_dict()], json)
-    return 0
+    return _told(effects_result(bench_or_block(measured), notes), print_effects, json)
 
 
 @GROUP.command(epilog="Example: bench fleet compare unit='block A 17' after=2026-01-01 --out comparison")
@@ -53,7 +55,6 @@ def compare(
     from bench.catalogue.values import compared
     from bench.results.compare import benches_result, equivalence_figure, print_benches
 
-    printing.check_target(json)
     found = compared(_table(request), _method(request.reference))
     result = benches_result(found)
     on = printing.console(json=json)
@@ -82,7 +83,6 @@ def prior(
     from bench.history.prior import prior_of
     from bench.results.fleet import print_prior, prior_result
 
-    printing.check_target(json)
     measured, notes = _measured(request)
     result = prior_result(prior_of(measured), notes)
     on = printing.console(json=json)
@@ -106,12 +106,8 @@ def drift(request: DriftOfUnit, json: JsonOption = None) -> int:
     from bench.history.drift import drift_of_unit
     from bench.results.fleet import drift_result, print_drift
 
-    printing.check_target(json)
     measured, notes = _measured(request)
-    result = drift_result(drift_of_unit(measured), request.at, notes)
-    print_drift(result, printing.console(json=json))
-    printing.write_json([result.to_dict()], json)
-    return 0
+    return _told(drift_result(drift_of_unit(measured), request.at, notes), print_drift, json)
 
 
 @GROUP.command(epilog="Example: bench fleet cmc procedure='*paper.yaml' state=finished simulated=no")
@@ -121,10 +117,12 @@ def cmc(request: Capability, json: JsonOption = None) -> int:
     from bench.history.capability import capability
     from bench.results.fleet import capability_result, print_capability
 
-    printing.check_target(json)
     measured, notes = _measured(request)
-    result = capability_result(capability(measured, request.quantile), notes)
-    print_capability(result, printing.console(json=json))
+    return _told(capability_result(capability(measured, request.quantile), notes), print_capability, json)
+
+
+def _told(result: Told, show: Callable[[Told, Console], None], json: str | None) -> int:
+    show(result, printing.console(json=json))
     printing.write_json([result.to_dict()], json)
     return 0
 

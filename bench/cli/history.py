@@ -25,7 +25,6 @@ def chart(
     """Control charts of the check block (Shewhart, EWMA); exit status 1 unless its last run is in control."""
     from bench.services.check_block import charted
 
-    printing.check_target(json)
     found = charted(request)
     out = printing.console(json=json)
     found.print_on(out)
@@ -53,7 +52,6 @@ def compare(
     from bench.results.compare import print_compare
     from bench.services.history import compared
 
-    printing.check_target(json)
     found = compared(request)
     for source, taken in found.taken:
         printing.bench_file(taken, json, source)
@@ -84,7 +82,6 @@ def learn(
     from bench.services.history import learning_of
     from bench.services.source import load_sources, reading
 
-    printing.check_target(json)
     target = out or Path("learned.yaml")
     if target.exists():
         raise Refused(
@@ -113,7 +110,6 @@ def stability(request: Stability, json: JsonOption = None, out: OutOption = None
     from bench.results.stability import print_stability
     from bench.services.history import at_rest
 
-    printing.check_target(json)
     with printing.progress():
         found = at_rest(request)
     on = printing.console(json=json)

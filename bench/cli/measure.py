@@ -5,16 +5,16 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from itertools import count
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from bench.cli import printing
-from bench.cli.options import RUNS, JsonOption, LatestRun, RunArgument, RunsOption, app, requested
+from bench.cli.options import JsonOption, app, requested
 from bench.cli.panel import link_to
 from bench.services.errors import Refused
 from bench.services.requests.evaluation import Diagnose
 from bench.services.requests.measuring import ResumeRequest, RunRequest
+from bench.services.requests.records import AbortRun, ControlRun
+from bench.services.requests.shared import runs_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 @requested
 def run(request: RunRequest, json: JsonOption = None) -> int:
     """Run a procedure on the bench, or dry on simulated instruments; then calibrate, verify, report."""
-    printing.check_target(json)
     if request.follow and json is not None:
         raise Refused(
             "--follow makes two runs, and --json is the result of one; the folders of both hold theirs"
@@ -67,7 +66,6 @@ def resume(request: ResumeRequest, json: JsonOption = None) -> int:
     """Go on with an interrupted run at the first point without a reading; make the results that it lacks."""
     from bench.services.execution import resumed
 
-    printing.check_target(json)
     out = printing.console(json=json)
 
     def announce(found: Run) -> None:
@@ -118,12 +116,13 @@ def _print_chart(found: Conclusion, out: Console) -> None:
 
 
 @app.command(epilog="Example: bench abort unit-17")
-def abort(name: LatestRun = None, runs: RunsOption = RUNS) -> int:
+@requested
+def abort(request: AbortRun) -> int:
     """End an interrupted run for good; its record is kept."""
     from bench.run.person import at_the_shell
     from bench.services.execution import give_up, unfinished_run
 
-    found = unfinished_run(name, runs)
+    found = unfinished_run(request.name, runs_folder(request.runs))
     left = give_up(found, at_the_shell("command"))
     out = printing.console()
     out.print(f"{found.name}: aborted; its record is kept in {found.folder}")
@@ -133,27 +132,22 @@ def abort(name: LatestRun = None, runs: RunsOption = RUNS) -> int:
 
 
 @app.command(epilog='Example: bench control unit-17 skip "the cable came loose"')
-def control(
-    run: RunArgument,
-    wish: Annotated[
-        str, typer.Argument(help="pause, continue, redo (the point), redo-pass, remount, skip, stop, abort.")
-    ],
-    reason: Annotated[str, typer.Argument(help="Why; a skip needs it.")] = "",
-    runs: RunsOption = RUNS,
-) -> int:
+@requested
+def control(request: ControlRun) -> int:
     """Ask something of a run that another program is carrying out; typed at a prompt it is :pause, :redo, …"""
     from bench.run.events import Wish
     from bench.run.folder import find_run
     from bench.run.person import SIGN, at_the_shell, leave_wish, parse_wish
     from bench.run.record import is_being_written
 
-    found = find_run(run, runs)
+    found = find_run(request.run, runs_folder(request.runs))
     try:
-        asked = replace(parse_wish(f"{wish} {reason}"), by_person=False, who=at_the_shell("command"))
+        wish = parse_wish(f"{request.wish} {request.reason}")
     except ValueError as mistake:
         raise Refused(str(mistake).replace(SIGN, "")) from mistake
     if not is_being_written(found.folder):
         raise Refused(f"{found.name}: nobody is carrying out this run; 'bench runs' tells how to go on")
+    asked = replace(wish, by_person=False, who=at_the_shell("command"))
     leave_wish(found.folder, asked)
     when = "at once" if asked.wish is Wish.STOP else "before the next step, or at the question that stands"
     printing.console().print(f"{found.name}: {asked.wish} is asked for; it is heard {when}")

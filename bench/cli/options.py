@@ -6,7 +6,7 @@ import inspect
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from contextvars import ContextVar, Token
+from contextvars import ContextVar
 from dataclasses import is_dataclass
 from functools import partial, wraps
 from pathlib import Path
@@ -25,6 +25,7 @@ from bench.base.requests import (
 from bench.cli import completing
 from bench.cli.commands import COMPLETED_BY, Commands
 from bench.config.devices import FOLDERS
+from bench.services.errors import Refused
 
 devices_given: ContextVar[tuple[str, ...]] = ContextVar("devices_given", default=())
 """The folders that `--devices` names, as they were typed."""
@@ -34,39 +35,34 @@ def with_own_parts(command: Any) -> Any:
     """Return a command with `--devices`, where it takes a bench file or has one on record, and `--effects`."""
     takes = {parameter.name for parameter in command.params}
     if command.name == "resume" or "bench" in takes:
-        command.params.append(_devices_option())
+        words = "Folder with instruments of your own; it is run (default: BENCH_DEVICES)."
+        command.params.append(_folder_or_file("devices", "DIR", words, _use_devices))
     if takes & {"bench", "model"}:
-        command.params.append(_effects_option())
+        words = "File with effects of your own, as formulas (default: BENCH_EFFECTS)."
+        command.params.append(_folder_or_file("effects", "FILE", words, _use_effects))
     return command
 
 
-def _effects_option() -> Any:
-    """Return the option as the library makes it of a function's parameter."""
-    alone = typer.Typer()
+def _folder_or_file(name: str, metavar: str, words: str, use: Callable[..., None]) -> Any:
+    """Return an option that may be given several times, as the library makes it of a function's parameter."""
+    told = typer.Option(f"--{name}", metavar=metavar, help=words, expose_value=False, callback=use)
+    kind = inspect.Parameter.KEYWORD_ONLY
+    parameter = inspect.Parameter(name, kind, default=None, annotation=Annotated[list[str] | None, told])
 
-    @alone.command()
-    def _(
-        effects: Annotated[
-            list[str] | None,
-            typer.Option(
-                "--effects",
-                metavar="FILE",
-                help="File with effects of your own, as formulas (default: BENCH_EFFECTS).",
-                expose_value=False,
-                callback=_use_effects,
-            ),
-        ] = None,
-    ) -> None:
+    def command(**_: Any) -> None:
         pass
 
-    return next(option for option in typer.main.get_command(alone).params if option.name == "effects")
+    command.__signature__ = inspect.Signature([parameter])  # type: ignore[attr-defined]
+    command.__annotations__ = {name: parameter.annotation}
+    alone = typer.Typer()
+    alone.command()(command)
+    return next(option for option in typer.main.get_command(alone).params if option.name == name)
 
 
 def _use_effects(ctx: typer.Context, files: list[str] | None) -> None:
     """Know the effects in files, and those that the environment names, as long as the command lasts."""
-    if ctx.resilient_parsing or not (files or os.environ.get("BENCH_EFFECTS")):
-        return
-    ctx.with_resource(_effects_of(files or ()))
+    if not ctx.resilient_parsing and (files or os.environ.get("BENCH_EFFECTS")):
+        ctx.with_resource(_effects_of(files or ()))
 
 
 @contextmanager
@@ -74,39 +70,10 @@ def _effects_of(files: Sequence[str]) -> Iterator[None]:
     from bench.config.formulas import ENVIRONMENT, effects_in, files_of_environment
     from bench.model import CATALOGUE
 
-    before = os.environ.get(ENVIRONMENT)
     every = [*files, *files_of_environment()]
-    with CATALOGUE.also(effects_in(every)):
-        # programs that are started for a part of the work know them by it
-        os.environ[ENVIRONMENT] = os.pathsep.join(every)
-        try:
-            yield
-        finally:
-            os.environ.pop(ENVIRONMENT)
-            if before is not None:
-                os.environ[ENVIRONMENT] = before
-
-
-def _devices_option() -> Any:
-    """Return the option as the library makes it of a function's parameter."""
-    alone = typer.Typer()
-
-    @alone.command()
-    def _(
-        devices: Annotated[
-            list[str] | None,
-            typer.Option(
-                "--devices",
-                metavar="DIR",
-                help="Folder with instruments of your own; it is run (default: BENCH_DEVICES).",
-                expose_value=False,
-                callback=_use_devices,
-            ),
-        ] = None,
-    ) -> None:
-        pass
-
-    return next(option for option in typer.main.get_command(alone).params if option.name == "devices")
+    # programs that are started for a part of the work know them by the environment
+    with CATALOGUE.also(effects_in(every)), _environment(ENVIRONMENT, every):
+        yield
 
 
 def _use_devices(ctx: typer.Context, folders: list[str] | None) -> None:
@@ -115,17 +82,30 @@ def _use_devices(ctx: typer.Context, folders: list[str] | None) -> None:
         if not Path(folder).is_dir():
             raise typer.BadParameter(f"{folder}: there is no such folder")
     if folders:
-        before = os.environ.get(FOLDERS)
-        os.environ[FOLDERS] = os.pathsep.join([*folders, *([before] if before else [])])
-        typed = devices_given.set(tuple(folders))
-        ctx.call_on_close(lambda: _restore(before, typed))
+        ctx.with_resource(_devices_of(folders))
 
 
-def _restore(before: str | None, typed: Token[tuple[str, ...]]) -> None:
-    devices_given.reset(typed)
-    os.environ.pop(FOLDERS, None)
-    if before is not None:
-        os.environ[FOLDERS] = before
+@contextmanager
+def _devices_of(folders: Sequence[str]) -> Iterator[None]:
+    typed = devices_given.set(tuple(folders))
+    try:
+        with _environment(FOLDERS, [*folders, *filter(None, [os.environ.get(FOLDERS)])]):
+            yield
+    finally:
+        devices_given.reset(typed)
+
+
+@contextmanager
+def _environment(name: str, paths: Sequence[str]) -> Iterator[None]:
+    """Have the environment name these paths, as long as the context lasts."""
+    before = os.environ.get(name)
+    os.environ[name] = os.pathsep.join(paths)
+    try:
+        yield
+    finally:
+        os.environ.pop(name, None)
+        if before is not None:
+            os.environ[name] = before
 
 
 COMPLETED_BY.append(with_own_parts)
@@ -155,20 +135,18 @@ class WithEstimators(TyperCommand):
         return super().get_help(ctx)
 
 
-BenchOption = Annotated[
+def _writable(target: str | None) -> str | None:
+    """Refuse a `--json` file that cannot be written before anything is computed. Raises `Refused`."""
+    if target not in {None, "-"} and not Path(str(target)).absolute().parent.is_dir():
+        raise Refused(f"--json {target}: there is no such folder")
+    return target
+
+
+JsonOption = Annotated[
     str | None,
     typer.Option(
-        "--bench",
-        metavar="FILE",
-        help="Bench file, by path or name (default: BENCH_FILE).",
-        autocompletion=completing.bench_files,
+        "--json", metavar="FILE", help="Write the result as JSON; - is standard output.", callback=_writable
     ),
-]
-RunsOption = Annotated[
-    Path, typer.Option("--runs", metavar="DIR", envvar="BENCH_RUNS", help="Folder in which runs live.")
-]
-JsonOption = Annotated[
-    str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is standard output.")
 ]
 OutOption = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Where to write what is derived from a file.")
@@ -177,23 +155,6 @@ StrictFitOption = Annotated[
     bool,
     typer.Option("--strict", help="A lack of fit of p < 0.01 is not accepted, either (without it: 1e-4)."),
 ]
-Sources = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="SOURCE…",
-        help="Runs (name or path) or readings files.",
-        autocompletion=completing.sources,
-    ),
-]
-RunArgument = Annotated[str, typer.Argument(help="Run, by name or path.", autocompletion=completing.runs)]
-LatestRun = Annotated[
-    str | None,
-    typer.Argument(
-        help="Run, by name or path; the latest unfinished if left out.", autocompletion=completing.runs
-    ),
-]
-
-RUNS = Path("runs")
 
 
 def requested(command: Callable[..., int]) -> Callable[..., int]:

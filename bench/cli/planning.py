@@ -86,7 +86,6 @@ def budget(request: Budget, json: JsonOption = None, out: OutOption = None) -> i
 
     With --rule the exit status is 1 when the check at the verification points cannot be passed with 95 %.
     """
-    printing.check_target(json)
     with printing.progress():
         from bench.services.planning import budget_of
 
@@ -120,7 +119,6 @@ def _write_page(folder: Path, found: BudgetResult, out: Console) -> None:
 @requested
 def require(request: Require, json: JsonOption = None) -> int:
     """How large each error of the bench may be for an accuracy; exit status 1 when it is not kept now."""
-    printing.check_target(json)
     with printing.progress():
         from bench.services.planning import requirements
 
@@ -135,7 +133,6 @@ def require(request: Require, json: JsonOption = None) -> int:
 @requested
 def plan_points(request: PlanPoints, json: JsonOption = None) -> int:
     """Test points that reach an uncertainty in the least bench time, or the most in a given time."""
-    printing.check_target(json)
     with printing.progress():
         from bench.services.planning import planned
 

@@ -68,12 +68,6 @@ def notes_on(out: Console, notes: Iterable[str]) -> None:
 # --- results as JSON and in files -------------------------------------------------------------------
 
 
-def check_target(target: str | None) -> None:
-    """Refuse a `--json` file that cannot be written before anything is computed. Raises `Refused`."""
-    if target not in {None, "-"} and not Path(str(target)).absolute().parent.is_dir():
-        raise Refused(f"--json {target}: there is no such folder")
-
-
 def write_json(results: list[dict[str, Any]], target: str | None) -> None:
     """Write one result, or a list of several in the order of the sources, to a file or standard output."""
     from bench.base.files import to_text, write_whole

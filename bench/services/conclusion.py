@@ -21,6 +21,8 @@ from bench.services.bench_selection import SUFFIX, BenchTaken, bench_of, is_told
 from bench.services.calibration import CalibrationResult, calibration_of, report_page
 from bench.services.errors import Refused
 from bench.services.records import versions
+from bench.services.requests import records as asked
+from bench.services.requests.shared import runs_folder
 from bench.services.source import Request, Source, load_sources
 from bench.services.until import is_short
 from bench.services.verification import NOTHING_ASKED, VerificationResult
@@ -156,15 +158,16 @@ class Exported(NamedTuple):
     beside: Path | None
 
 
-def export_readings(run: str, runs: Path, csv: Path | None) -> Exported:
-    """Return the readings of a run as a readings file, and write it to `csv`. Raises `Refused`."""
-    (source,) = load_sources(Request([run], runs))
+def export_readings(request: asked.ExportReadings) -> Exported:
+    """Return the readings of a run as a readings file, and write it unless it is "-". Raises `Refused`."""
+    (source,) = load_sources(Request([request.run], runs_folder(request.runs)))
     text = format_csv(source.as_read)
-    if csv is None:
+    beside = Path(f"{request.csv}{SUFFIX}")
+    if request.csv == "-":
         return Exported(text, len(source.readings), None)
-    beside = Path(f"{csv}{SUFFIX}")
     if beside.exists() and not is_told(beside):
         raise Refused(f"{beside}: is a file of something else; export under another name")
+    csv = Path(request.csv)
     write_whole(csv, text)
     if source.origin is None:
         return Exported(text, len(source.readings), None)
@@ -173,17 +176,14 @@ def export_readings(run: str, runs: Path, csv: Path | None) -> Exported:
 
 
 def import_readings(
-    file: Path,
-    name: str | None,
-    bench: str | None,
-    runs: Path,
-    announce: Callable[[BenchTaken, Sequence[str]], None],
+    request: asked.ImportReadings, announce: Callable[[BenchTaken, Sequence[str]], None]
 ) -> Run:
     """Make a run of a readings file that was measured elsewhere; the bench file is announced before it is read.
 
     Raises `Refused` for a file that cannot be read, `ReadingsError` for bad rows, `RecordError` for a name that is
     taken.
     """
+    file, bench = request.file, None if request.bench is None else str(request.bench)
     try:
         content = read_given(file)  # once: a pipe has nothing more to give
     except OSError as error:
@@ -193,7 +193,8 @@ def import_readings(
     announce(taken, notes)
     path = Path(taken.where)
     readings = read_csv(file, taken.file.installation_models(), content=content)
-    run = Run(runs / checked_name(name or re.sub(r"[^\w.+-]", "-", file.stem)))
+    name = request.name or re.sub(r"[^\w.+-]", "-", file.stem)
+    run = Run(runs_folder(request.runs) / checked_name(name))
     manifest: Manifest = {
         "name": run.name,
         "created": utc_now().isoformat(),

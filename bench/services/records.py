@@ -15,7 +15,7 @@ from bench.base.files import read_regular
 from bench.readings.columns import columns_of, ranges_in_words
 from bench.results.records import ProvenRecordPart, RunPart, RunsResult, ShowResult
 from bench.run.events import ENDED, RecordError, RunState
-from bench.run.folder import VERIFY, Digest, Digests, Run, all_runs
+from bench.run.folder import VERIFY, Digest, Digests, Run, all_runs, find_run
 from bench.run.record import is_being_written
 from bench.run.seal import (
     NoTimeStamp,
@@ -35,6 +35,8 @@ from bench.run.seal import (
     write_seal,
 )
 from bench.services.errors import Refused
+from bench.services.requests.records import SealRun, ShowRun
+from bench.services.requests.shared import runs_folder
 from drivers.clock import utc_now
 
 if TYPE_CHECKING:
@@ -93,14 +95,12 @@ def run_summary(run: Run, digest_of: Callable[[Run], Digest] = Digest.of) -> Run
         )
 
 
-def show_run(
-    run: Run, head: str | None, key: Path | None, authority: Path | None, *, verify: bool
-) -> ShowResult:
-    """Return what a run holds; with `verify` also what its record proves. Raises as `proof_of`."""
-    problems, told = list(run.history.problems), []
-    if verify and not problems:
-        proof = proof_of(run, head, key, authority)
-        problems, told = list(proof.problems), list(proof.told)
+def show_run(run: Run, request: ShowRun) -> ShowResult:
+    """Return what a run holds, and what its record proves where that is asked. Raises as `proof_of`."""
+    told: list[str] = []
+    problems = list(run.history.problems)
+    if request.proved and not problems:
+        told, problems = proof_of(run, request)
     summary = run_summary(run).to_dict()
     record = ProvenRecordPart(**record_head(run), told=told)
     return ShowResult(**summary, manifest=dict(run.manifest), record=record, problems=problems)
@@ -155,11 +155,12 @@ class SealResult:
     no_time_stamp: str = ""
 
 
-def seal_run(run: Run, key: Path | None, server: str | None, passphrase: Callable[[], bytes]) -> SealResult:
+def seal_run(request: SealRun, passphrase: Callable[[], bytes]) -> SealResult:
     """Seal a run that has ended; a server that gives no time stamp leaves it without one.
 
     Raises `RecordError` for a run or a key that is not fit for it, `Refused` where the seal cannot be written.
     """
+    run, key, server = find_run(request.run, runs_folder(request.runs)), request.key, request.timestamp
     if server is not None:
         check_server(server)
     seal = new_seal(run, utc_now())
@@ -177,19 +178,13 @@ def seal_run(run: Run, key: Path | None, server: str | None, passphrase: Callabl
         raise Refused(f"{error.filename}: cannot be written ({error.strerror}); nothing is sealed") from error
 
 
-@dataclass(frozen=True)
-class Proof:
-    """The evidence for a record and the problems with it, a sentence each."""
+def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
+    """Return the evidence for a record and the problems with it, a sentence each.
 
-    told: tuple[str, ...]
-    problems: tuple[str, ...]
-
-
-def proof_of(run: Run, head: str | None, key: Path | None, authority: Path | None) -> Proof:
-    """Check a record against its seal, and against a head, a public key and an authority that were kept elsewhere.
-
-    Raises `Refused` for a head that is none, `RecordError` for a key that cannot be read.
+    The record is checked against its seal, and against a head, a public key and an authority that were kept
+    elsewhere. Raises `Refused` for a head that is none, `RecordError` for a key that cannot be read.
     """
+    head, key, authority = request.head, request.key, request.authority
     if head is not None and re.fullmatch(r"[0-9a-f]{64}", head.lower()) is None:
         raise Refused(f"--head {head}: a head is the SHA-256 of a line, 64 hexadecimal digits")
     given = None if key is None else read_public_key(key)
@@ -219,7 +214,7 @@ def proof_of(run: Run, head: str | None, key: Path | None, authority: Path | Non
         problems.append(str(error))
     if not outside and not problems:
         told.append(NOTHING_OUTSIDE)
-    return Proof(tuple(told), tuple(problems))
+    return told, problems
 
 
 def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], problems: list[str]) -> bool:

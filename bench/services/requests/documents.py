@@ -13,6 +13,7 @@ from bench.services.requests.shared import (
     LimitField,
     OnReadings,
     RuleField,
+    RunField,
     RunsField,
 )
 
@@ -214,7 +215,7 @@ class AmendCertificate(Issuing):
     """Issue a certificate in place of one that holds."""
 
     number: NumberField
-    run: Annotated[str, Option("Run, by name or path.", argument=True, completes="runs")]
+    run: RunField
     _: KW_ONLY
     reason: ReasonField
     replace: Annotated[bool, Option("It replaces the other as a whole: another run, other results.")] = False

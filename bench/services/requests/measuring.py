@@ -10,6 +10,7 @@ from bench.base.requests import Option
 from bench.services.requests.shared import (
     BenchField,
     GuardBandField,
+    LatestField,
     LimitField,
     ModelField,
     RuleField,
@@ -93,14 +94,7 @@ class RunRequest(DryRunRequest):
 class ResumeRequest:
     """An interrupted run, to be resumed."""
 
-    name: Annotated[
-        str | None,
-        Option(
-            "Run, by name or path; the latest unfinished if left out.",
-            argument=True,
-            completes="runs",
-        ),
-    ] = None
+    name: LatestField = None
     _: KW_ONLY
     wire_log: WireLogField = None
     answers: AnswersField = None

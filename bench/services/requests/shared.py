@@ -49,6 +49,11 @@ RunsField = Annotated[
         typed=Path | None,
     ),
 ]
+RunField = Annotated[str, Option("Run, by name or path.", argument=True, completes="runs")]
+LatestField = Annotated[
+    str | None,
+    Option("Run, by name or path; the latest unfinished if left out.", argument=True, completes="runs"),
+]
 ModelField = Annotated[
     str | Path | None,
     Option("Model file: effects beside the paper's terms.", metavar="FILE", typed=Path | None),
