@@ -114,8 +114,8 @@ def _written(job: Job, source: Source, page: str) -> Path:
 
 
 def _compared(result: CalibrationResult, verdict: VerificationResult | None, stored: Stored) -> Row:
-    now, before = CalibrationValues.of_result(result), stored.calibration
-    judged = None if verdict is None else VerdictValues.of_result(verdict)
+    now, before = CalibrationValues.of_file(result.to_dict()), stored.calibration
+    judged = None if verdict is None else VerdictValues.of_file(verdict.to_dict())
     notes = [*stored.notes, *(() if before is None else _notes_on(before, result)), *result.notes]
     return {
         **changes(before, now),
@@ -208,18 +208,8 @@ class CalibrationValues:
         return "does not fit" if self.p < LACK_OF_FIT_P else "fits"
 
     @classmethod
-    def of_result(cls, result: CalibrationResult) -> CalibrationValues:
-        """Return the values of a result computed in this program."""
-        own = result.calibration
-        p = own.lack_of_fit.p
-        return cls(
-            own.estimator, own.model, own.unit, own.g_m_s2, own.block.vector, own.u,
-            float(p) if np.isfinite(p) else None, own.used,
-        )  # fmt: skip
-
-    @classmethod
     def of_file(cls, told: Mapping[str, Any]) -> CalibrationValues:
-        """Return the values in a results file. Raises `KeyError`, `TypeError` … for a malformed file."""
+        """Return the values in a result, computed or read. Raises `KeyError`, `TypeError` … for another file."""
         sizes = [told["coefficients"][name] for name in COEFFICIENTS]
         p = told["residual"]["p"]
         return cls(
@@ -255,35 +245,13 @@ class VerdictValues:
         return word if self.statement == plain else f"{word} ({self.statement})"
 
     @classmethod
-    def of_result(cls, result: VerificationResult) -> VerdictValues:
-        """Return the values of a verdict computed in this program."""
-        found = result.verification
-        return cls._of(
-            [(point.delta_g, point.u) for point in found.points],
-            found.passed,
-            str(found.statement),
-            found.limit_g,
-            found.rule,
-        )
-
-    @classmethod
     def of_file(cls, told: Mapping[str, Any]) -> VerdictValues:
-        """Return the verdict in a results file; files of earlier versions contain no statement."""
+        """Return the verdict in a result, computed now or read; files of earlier versions contain no statement."""
         passed = bool(told["passed"])
-        return cls._of(
-            [(float(point["delta_g"]), float(point["u"])) for point in told["points"]],
-            passed,
-            str(told.get("statement", "pass" if passed else "fail")),
-            float(told["limit_g"]),
-            str(told["rule"]),
-        )
-
-    @classmethod
-    def _of(
-        cls, points: list[tuple[float, float]], passed: bool, statement: str, limit_g: float, rule: str
-    ) -> VerdictValues:
-        worst = max(points, key=lambda point: abs(point[0]), default=(None, None))
-        return cls(passed, statement, worst[0], worst[1], limit_g, rule)
+        points = [(float(point["delta_g"]), float(point["u"])) for point in told["points"]]
+        delta_g, u = max(points, key=lambda point: abs(point[0]), default=(None, None))
+        statement = str(told.get("statement", "pass" if passed else "fail"))
+        return cls(passed, statement, delta_g, u, float(told["limit_g"]), str(told["rule"]))
 
 
 @dataclass(frozen=True)

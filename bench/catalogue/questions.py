@@ -406,42 +406,29 @@ def _grouped(column: ColumnElement[Any], *further: Any) -> Callable[[Condition],
     return of
 
 
-def _instruments(asked: Condition) -> Select[Any]:
-    one = INSTRUMENTS.c
-    joined = USES.join(RUNS, RUNS.c.id == USES.c.run).join(INSTRUMENTS, one.id == USES.c.instrument)
-    counts = (
-        func.count(USES.c.run.distinct()).label("runs"),
-        func.count(RUNS.c.unit.distinct()).label("units"),
-    )
-    return (
-        select(
-            one.name, one.serial, one.driver, *counts, func.count(RUNS.c.bench.distinct()).label("benches"),
-            func.min(RUNS.c.created).label("first"), func.max(RUNS.c.created).label("last"),
-        )
-        .select_from(joined)
-        .where(asked)
-        .group_by(one.id, one.name, one.serial, one.driver)
-        .order_by(one.name)
-    )  # fmt: skip
+def _used(
+    table: Table, key: ColumnElement[Any], names: str, order: str, *further: Any
+) -> Callable[[Condition], Select[Any]]:
+    """Return the question on what runs used, by `order`; `further` are counts beside those of runs and units."""
+    columns = [table.c[name] for name in names.split()]
 
-
-def _certificates(asked: Condition) -> Select[Any]:
-    one = CERTIFICATES.c
-    joined = USES.join(RUNS, RUNS.c.id == USES.c.run).join(CERTIFICATES, one.id == USES.c.certificate)
-    counts = (
-        func.count(USES.c.run.distinct()).label("runs"),
-        func.count(RUNS.c.unit.distinct()).label("units"),
-    )
-    return (
-        select(
-            one.number, one.laboratory, one.date, one.valid_until, one.serial, *counts,
-            func.min(RUNS.c.created).label("first"), func.max(RUNS.c.created).label("last"),
+    def of(asked: Condition) -> Select[Any]:
+        return (
+            select(
+                *columns,
+                func.count(USES.c.run.distinct()).label("runs"),
+                func.count(RUNS.c.unit.distinct()).label("units"),
+                *further,
+                func.min(RUNS.c.created).label("first"),
+                func.max(RUNS.c.created).label("last"),
+            )
+            .select_from(USES.join(RUNS, RUNS.c.id == USES.c.run).join(table, table.c.id == key))
+            .where(asked)
+            .group_by(table.c.id, *columns)
+            .order_by(*(table.c[name] for name in order.split()))
         )
-        .select_from(joined)
-        .where(asked)
-        .group_by(one.id, one.number, one.laboratory, one.date, one.valid_until, one.serial)
-        .order_by(one.number, one.date)
-    )  # fmt: skip
+
+    return of
 
 
 def _issued_rows(asked: Condition) -> Select[Any]:
@@ -469,11 +456,16 @@ KINDS: Final[Mapping[str, Callable[[Condition], Select[Any]]]] = {
     "units": _grouped(RUNS.c.unit, func.count(RUNS.c.bench.distinct()).label("benches")),
     "benches": _grouped(RUNS.c.bench, func.count(RUNS.c.unit.distinct()).label("units")),
     "operators": _grouped(RUNS.c.operator, func.count(RUNS.c.unit.distinct()).label("units")),
-    "instruments": _instruments,
-    "certificates": _certificates,
+    "instruments": _used(
+        INSTRUMENTS, USES.c.instrument, "name serial driver", "name",
+        func.count(RUNS.c.bench.distinct()).label("benches"),
+    ),
+    "certificates": _used(
+        CERTIFICATES, USES.c.certificate, "number laboratory date valid_until serial", "number date"
+    ),
     "issued": _issued_rows,
     "folders": _folders,
-}
+}  # fmt: skip
 """What a question may be asked of: its runs, or what they have in common; `issued` are the certificates
 that this laboratory issued of their records as they are, `folders` those that are bad."""
 

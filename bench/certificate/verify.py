@@ -124,7 +124,7 @@ class Verdict:
 
     def result(self) -> VerifyResult:
         """Return the result of `bench certificate verify`; it has the certificate's values only if intact."""
-        says = self.shown.part() if self.shown is not None and self.intact else None
+        says = self.shown.says if self.shown is not None and self.intact else None
         return VerifyResult(
             file=self.file,
             verdict=self.headline,
@@ -272,8 +272,9 @@ def _agree_on_signer(paper: SignedPdf, digital: SignedXml) -> None:
 
 def _agree(verdict: Verdict, shown: ShownValues, attached: dict[str, bytes], title: str) -> None:
     """Raise `NotIntact` unless paper and digital certificate have number and files in common."""
-    if not shown.number or not title.endswith(f" {shown.number}"):
-        raise NotIntact(f"the PDF is of '{title}', its XML of certificate {shown.number}")
+    number = shown.says.number
+    if not number or not title.endswith(f" {number}"):
+        raise NotIntact(f"the PDF is of '{title}', its XML of certificate {number}")
     for name, content in shown.files.items():
         if attached.get(name) != content:
             raise NotIntact(f"{name} in the XML is another than {name} in the PDF")
@@ -330,7 +331,8 @@ def _name_signer(
 
 def _agree_on_numbers(shown: ShownValues) -> None:
     """Raise `NotIntact` unless the coefficients as a list are those of the result that the XML holds."""
-    if not shown.coefficients or "result.json" not in shown.files:
+    coefficients = shown.says.coefficients
+    if not coefficients or "result.json" not in shown.files:
         raise NotIntact("the digital certificate has no coefficients, or not the result that they are of")
     try:
         result = json.loads(shown.files["result.json"])
@@ -340,11 +342,11 @@ def _agree_on_numbers(shown: ShownValues) -> None:
         u = {name: float(one["u"]) for name, one in stated.items()}
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise NotIntact("the result in the digital certificate cannot be read") from error
-    if values != {one.name: one.value for one in shown.coefficients} or covariance != shown.covariance:
+    if values != {name: one.value for name, one in coefficients.items()} or covariance != shown.covariance:
         raise NotIntact(
             "the coefficients of the digital certificate are not those of the result that it holds"
         )
-    if not all(math.isclose(one.U, one.k * u[one.name], rel_tol=1e-12) for one in shown.coefficients):
+    if not all(math.isclose(one.U, one.k * u[name], rel_tol=1e-12) for name, one in coefficients.items()):
         raise NotIntact("U of a coefficient is not k times its u")
 
 
@@ -352,7 +354,7 @@ def _against_register(
     verdict: Verdict, shown: ShownValues, file: Path, content: bytes, register: Path | None
 ) -> None:
     form = "xml" if content.lstrip()[:1] == b"<" else "pdf"
-    verdict.standing, held = held_against_register(shown.number, form, content, file, register)
+    verdict.standing, held = held_against_register(shown.says.number, form, content, file, register)
     verdict.wrong += filter(None, [held.wrong])
     verdict.agreed += filter(None, [held.told])
 
@@ -405,7 +407,8 @@ def held_against_record(shown: ShownValues, runs: Path) -> Held | None:
     if differences:
         return Held(wrong=f"{folder}: {'; '.join(differences)}")
     try:
-        found = found_by(seal.run, runs, shown.coefficients[0].k, _asked(shown))
+        k = next(iter(shown.says.coefficients.values())).k
+        found = found_by(seal.run, runs, k, _asked(shown))
     except (Refused, RecordError, CalibrationError) as error:
         return Held(wrong=f"{folder}: the record gives no result ({error})")
     if found.result_json.encode() == shown.files["result.json"]:
@@ -443,19 +446,18 @@ def _as_good_as(found: RunFindings, shown: ShownValues) -> bool:
     """Whether a record's coefficients, covariance and verdict equal the certificate's, up to rounding."""
     own = found.coefficients
     u = np.array([one.u for one in own.values])
-    off = np.abs(
-        [mine.value - theirs.value for mine, theirs in zip(own.values, shown.coefficients, strict=True)]
-    )
+    theirs = shown.says.coefficients.values()
+    off = np.abs([one.value - other.value for one, other in zip(own.values, theirs, strict=True)])
     apart = np.abs(own.covariance - np.array(shown.covariance))
     same = bool(np.all(off <= _SAME * u) and np.all(apart <= _SAME * np.outer(u, u)))
     verdicts = [
         json.loads(text).get("verification") for text in (found.result_json, shown.files["result.json"])
     ]
-    mine, theirs = (
+    told = [
         {name: (one or {}).get(name) for name in ("passed", "statement", "limit_g", "rule")}
         for one in verdicts
-    )
-    return same and mine == theirs
+    ]
+    return same and told[0] == told[1]
 
 
 def held_against_register(

@@ -78,7 +78,6 @@ def learn(
     ] = False,
 ) -> int:
     """What many runs tell of one bench: its stand, noise, head; as a file that its bench file takes."""
-    from bench.results.parts import print_notes
     from bench.services.history import learning_of
     from bench.services.source import load_sources, reading
 
@@ -92,7 +91,7 @@ def learn(
     found = learning_of(request, sources)
     on = printing.console(json=json)
     found.print_on(on)
-    print_notes(found.notes, on)
+    printing.notes_on(on, found.notes)
     printing.write_json([found.to_dict()], json)
     if found.learned.too_many_contradict:
         return 1
@@ -106,7 +105,6 @@ def learn(
 @requested
 def stability(request: Stability, json: JsonOption = None, out: OutOption = None) -> int:
     """Allan deviation and noise terms of a block at rest, and the averaging that a reading deserves."""
-    from bench.results.parts import print_notes
     from bench.results.stability import print_stability
     from bench.services.history import at_rest
 
@@ -114,7 +112,7 @@ def stability(request: Stability, json: JsonOption = None, out: OutOption = None
         found = at_rest(request)
     on = printing.console(json=json)
     printing.bench_file(found.taken, json)
-    print_notes(found.notes, on)
+    printing.notes_on(on, found.notes)
     print_stability(found.found, on)
     for what, file, text in found.files(out):
         if printing.write_beside(file, text, asked=out is not None):

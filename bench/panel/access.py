@@ -111,6 +111,11 @@ class Person:
         """The CSRF token in every form of this session, which no other site can know."""
         return hashlib.sha256(f"form:{self.secret}".encode()).hexdigest()[:32]
 
+    def require(self, least: Role) -> None:
+        """Raise `Refusal` where the person has a lesser role."""
+        if not self.role.includes(least):
+            raise Refusal(403, f"{self.name} is signed in as {self.role}; this takes the role {least}")
+
 
 class Refusal(Exception):
     """Raised for a refused request, with the HTTP status and one sentence."""

@@ -162,9 +162,7 @@ def _lock(folder: Path) -> FileLock:
 
 def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
     """Return whom it concerns beside the person. Raises `Refusal` where it may not be, or makes no sense."""
-    least = {"force": Role.SUPERVISOR}.get(word, Role.OPERATOR)
-    if not person.role.includes(least):
-        raise Refusal(403, f"{person.name} is signed in as {person.role}; this takes the role {least}")
+    person.require(Role.SUPERVISOR if word == "force" else Role.OPERATOR)
     holds = holding.holder == person.name
     match word:
         case "take" | "ask" | "force" if holds:
@@ -193,10 +191,7 @@ def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
 
 def require_holder(folder: Path, person: Person) -> None:
     """Raise `Refusal` unless the person controls the run in a folder and has a role that allows it."""
-    if not person.role.includes(Role.OPERATOR):
-        raise Refusal(
-            403, f"{person.name} is signed in as {person.role}; this takes the role {Role.OPERATOR}"
-        )
+    person.require(Role.OPERATOR)
     holder = read_holding(folder).holder
     if holder != person.name:
         raise Refusal(403, f"{holder or 'nobody'} is in control; {'ask for' if holder else 'take'} it first")

@@ -77,8 +77,7 @@ async def acting(request: Request, least: Role) -> tuple[Person, dict[str, str]]
     given = request.headers.get(CSRF_HEADER) or sent.pop("csrf", "")
     if not secrets.compare_digest(given.encode(errors="replace"), person.csrf.encode()):
         raise Refusal(403, "this form is of another session; load the page again")
-    if not person.role.includes(least):
-        raise Refusal(403, f"{person.name} is signed in as {person.role}; this takes the role {least}")
+    person.require(least)
     return person, sent
 
 

@@ -14,11 +14,10 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.base.arrays import Floats
-from bench.base.computing import quiet
 from bench.base.files import write_whole
 from bench.base.numbers import fixed
 from bench.base.result_model import Matrix, Real, ResultModel, Vector
-from bench.base.tables import as_html, as_text, table
+from bench.base.tables import as_html, as_text, print_notes, table
 from bench.calibration.budget.assessment import DIGITS, Assessment, AtMagnitude, DeltaG, ExactResult
 from bench.calibration.budget.coefficients import Contribution
 from bench.calibration.budget.propagation import correlation_of, coverage_factor
@@ -186,9 +185,7 @@ class BudgetResult(ResultModel):
             _print_check(self, out)
         if self.monte_carlo is not None:
             out.print(_monte_carlo_in_words(self.monte_carlo))
-        for note in self.notes:
-            if not quiet.get():
-                out.print(f"note: {note}")
+        print_notes(out, self.notes)
 
     def __repr__(self) -> str:
         """Return the tables with the notes."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -32,6 +31,7 @@ from bench.results.parts import (
     ValuePart,
     by_channel,
     coefficient_unit,
+    fit_in_words,
     uncertainty_source,
     values_with_u,
 )
@@ -422,12 +422,6 @@ def _noise_in_words(found: Calibration) -> str:
 
 
 def _fit_in_words(found: Calibration) -> str:
-    fit = found.lack_of_fit
-    if not math.isfinite(fit.p):
-        return "lack of fit: too few repeats to tell"
-    verdict = "none shown at 1 %"
-    if fit.shown:
-        how = "; u holds what repeats share" if found.shared else ""
-        how = f"; u is {found.birge:.2g} times that of the noise" if found.birge > 1 else how
-        verdict = f"THE MODEL DOES NOT FIT the readings{how}"
-    return f"lack of fit against the repeats: chi2 {fit.chi2:.1f} for {fit.dof}, p = {fit.p:.2g}: {verdict}"
+    how = "; u holds what repeats share" if found.shared else ""
+    how = f"; u is {found.birge:.2g} times that of the noise" if found.birge > 1 else how
+    return fit_in_words(found.lack_of_fit, f"THE MODEL DOES NOT FIT the readings{how}")

@@ -11,10 +11,9 @@ from pydantic import Field
 from rich.console import Console
 
 from bench.base.arrays import Floats
-from bench.base.computing import quiet
 from bench.base.numbers import fixed, places, scale_for, two_digits
 from bench.base.result_model import ResultModel
-from bench.base.tables import table
+from bench.base.tables import print_notes, table
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.history.drift import Due
 from bench.model.geometry import COEFFICIENTS
@@ -127,7 +126,7 @@ class DueResult(ResultModel):
             out.print(shown)
         counted = "1 unit" if len(self.units) == 1 else f"{len(self.units)} units"
         out.print(f"{counted} due{_not_shown(len(self.units), '--json')}", style="bold")
-        _print_notes([f"{name}: {why}" for name, why in self.not_known.items()], out)
+        print_notes(out, [f"{name}: {why}" for name, why in self.not_known.items()])
 
 
 class CoefficientThen(ResultModel):
@@ -173,7 +172,7 @@ class UnitResult(ResultModel):
             for row in coefficient_rows(self.calibrations):
                 shown.add_row(*row)
             out.print(shown)
-        _print_notes(self.notes, out)
+        print_notes(out, self.notes)
         due = self.due
         told = f"due {due.due}: {due.why}" if due else f"no date due: {self.why_not_due}"
         out.print(told, style="bold")
@@ -192,12 +191,6 @@ def due_part(found: Due) -> DuePart:
         error_when_due_g=found.predicted_g,
         simulated=found.simulated,
     )
-
-
-def _print_notes(notes: Sequence[str], out: Console) -> None:
-    if not quiet.get():
-        for note in notes:
-            out.print(f"note: {note}")
 
 
 def _not_shown(count: int, option: str) -> str:

@@ -12,14 +12,14 @@ from rich.table import Table
 
 from bench.base.numbers import fixed, places, probability, quantity, scale_for
 from bench.base.result_model import Real, ResultModel
-from bench.base.tables import table
+from bench.base.tables import print_notes, table
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.history.comparison import Changes, Comparison, DriftLines, Snapshot
 from bench.history.equivalence import BenchComparison
 from bench.history.measured import STANDARD_GRAVITY
 from bench.model.geometry import COEFFICIENTS
 from bench.results.fleet import MOST_SHOWN, FleetResult, limit_in_words, signed_size
-from bench.results.parts import BenchPart, by_coefficient, print_notes
+from bench.results.parts import BenchPart, by_coefficient
 from bench.results.plots import BLUE, GREY, VERMILION, svg_file, symbol
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def print_compare(result: CompareResult, out: Console) -> None:
             f"what the lines leave: chi2 {result.drift.chi2:.1f} for {result.drift.dof}, "
             f"{probability(result.drift.p)}"
         )
-    print_notes(result.notes, out)
+    print_notes(out, result.notes)
     changed = {name for later in result.compared for name, one in later.coefficients.items() if one.changed}
     if changed:
         verdict = f"CHANGED beyond the uncertainty (5 %, all looks counted): {', '.join(sorted(changed))}"
@@ -344,7 +344,7 @@ def print_benches(result: BenchesResult, out: Console) -> None:
             signed_size(degree.d, result.signal), quantity(degree.U, result.signal), f"{degree.en:.2f}",
         )  # fmt: skip
     out.print(shown)
-    print_notes(result.notes, out)
+    print_notes(out, result.notes)
     if result.apart:
         told = ", ".join(
             f"{one.bench} in {one.coefficient} (E_n {one.en:.1f})" for one in result.apart[:MOST_SHOWN]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, Final, Literal
 
@@ -26,6 +25,7 @@ from bench.calibration.temperature import (
 from bench.calibration.verification import Verification
 from bench.model.geometry import COEFFICIENTS
 from bench.results.parts import (
+    REPEATS,
     BenchPart,
     CorrectionPart,
     FitPart,
@@ -33,6 +33,7 @@ from bench.results.parts import (
     UncertaintySourcePart,
     ValuePart,
     coefficient_unit,
+    fit_in_words,
     uncertainty_source,
     values_with_u,
 )
@@ -280,21 +281,15 @@ def _print_hysteresis(model: TemperatureModel, out: Console) -> None:
 
 
 def _print_fit(model: TemperatureModel, out: Console) -> None:
-    tests = (
-        ("lack of fit against the repeats", model.fitted, "", "THE MODEL DOES NOT FIT the readings"),
-        (
-            "polynomials",
-            model.curve,
-            " against coefficients free at each temperature",
-            "THE CURVES ARE NOT THESE POLYNOMIALS: hysteresis that is not the same at all temperatures, a lag, or "
-            "too few degrees",
-        ),
+    out.print(
+        fit_in_words(
+            model.fitted, "THE MODEL DOES NOT FIT the readings", untold=f"{REPEATS}: too little to tell"
+        )
     )
-    for what, test, against, contradicted in tests:
-        if test is None:
-            continue
-        if not math.isfinite(test.p):
-            out.print(f"{what}: too little to tell")
-            continue
-        verdict = contradicted if test.shown else "none shown at 1 %"
-        out.print(f"{what}{against}: chi2 {test.chi2:.1f} for {test.dof}, p = {test.p:.2g}: {verdict}")
+    if model.curve is not None:
+        what = "polynomials against coefficients free at each temperature"
+        contradicted = (
+            "THE CURVES ARE NOT THESE POLYNOMIALS: hysteresis that is not the same at all temperatures, a lag, or "
+            "too few degrees"
+        )
+        out.print(fit_in_words(model.curve, contradicted, what, "polynomials: too little to tell"))

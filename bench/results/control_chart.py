@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,14 +14,14 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.base.arrays import Floats
-from bench.base.numbers import MINUS, fixed, probability, scale_for, two_digits
+from bench.base.numbers import MINUS, Scale, fixed, probability, scale_for, two_digits
 from bench.base.result_model import Real, ResultModel
-from bench.base.tables import as_text, table
+from bench.base.tables import as_text, print_notes, table
 from bench.history.control_chart import ControlChart
 from bench.model.geometry import COEFFICIENTS
-from bench.results.parts import ValuePart, by_coefficient, print_notes
+from bench.results.parts import ValuePart, by_coefficient
 from bench.results.plots import BLUE, GREY, VERMILION, svg_figure, symbol
-from bench.results.tables import page
+from bench.results.tables import Row, page
 from bench.stats.control_charts import Basis
 
 if TYPE_CHECKING:
@@ -228,7 +228,7 @@ class CheckBlockChart:
                 f"false alarms: one in {result.design.arl:g} runs, all three statistics together; "
                 f"limits from {basis}"
             )
-        print_notes(result.notes, out)
+        print_notes(out, result.notes)
         out.print(self.sentence(), style="bold")
 
     def __repr__(self) -> str:
@@ -280,16 +280,32 @@ def _in_u(z: float | None) -> str:
     return "–" if z is None else f"{z:+.1f}".replace("-", MINUS)
 
 
+def _run_cells(run: ChartedRun) -> list[str]:
+    """Return when a run was begun, its T², that of the EWMA, and s over that of the baseline."""
+    f = run.short_term.f
+    ewma_t2 = "–" if run.ewma_t2 is None else f"{run.ewma_t2:.1f}"
+    return [
+        run.when[:16].replace("T", " "), f"{run.t2:.1f}", ewma_t2, "–" if f is None else f"{f**0.5:.2f}",
+    ]  # fmt: skip
+
+
+def _deviation_cells(name: str, own: DeviationPart, signal: str) -> list[str]:
+    """Return how far a coefficient is off the centre, u, and the deviation and its EWMA in their u."""
+    scale = scale_for(own.u, signal)
+    unit = _unit_of(name, scale)
+    off = f"{fixed(own.deviation / scale.size, 1)} {unit}"
+    return [off, f"{own.u / scale.size:.1f} {unit}", _in_u(own.z), _in_u(own.ewma_z)]
+
+
+def _unit_of(name: str, scale: Scale) -> str:
+    return scale.unit if name.startswith("U0") else scale.per_g
+
+
 def _runs_table(result: ChartResult) -> Table:
     t2, ewma_t2 = f">T² (≤ {result.limits.t2:.1f})", f">EWMA T² (≤ {result.limits.ewma_t2:.1f})"
     shown = table("run", "begun", t2, ewma_t2, ">s / baseline", "verdict")
     for run in result.runs[-LAST_ROWS:]:
-        f = run.short_term.f
-        shown.add_row(
-            run.run, run.when[:16].replace("T", " "), f"{run.t2:.1f}",
-            "–" if run.ewma_t2 is None else f"{run.ewma_t2:.1f}", "–" if f is None else f"{f**0.5:.2f}",
-            "in control" if run.accepted else "OUT OF CONTROL",
-        )  # fmt: skip
+        shown.add_row(run.run, *_run_cells(run), "in control" if run.accepted else "OUT OF CONTROL")
     return shown
 
 
@@ -301,8 +317,6 @@ def _coefficients_table(result: ChartResult) -> Table:
         f">EWMA in u (≤ {limits.single_ewma:.1f})",        ">scatter / stated u", ">",
     )  # fmt: skip
     for name, own in last.coefficients.items():
-        scale = scale_for(own.u, result.unit)
-        unit = scale.unit if name.startswith("U0") else scale.per_g
         ratio, more = "–", ""
         if parts is not None:
             variability = parts.coefficients[name]
@@ -310,10 +324,7 @@ def _coefficients_table(result: ChartResult) -> Table:
             # Bonferroni over the coefficients
             p = min(1.0, len(parts.coefficients) * variability.p)
             more = probability(p) if p < 0.01 else ""
-        shown.add_row(
-            name, f"{fixed(own.deviation / scale.size, 1)} {unit}", f"{own.u / scale.size:.1f} {unit}",
-            _in_u(own.z), _in_u(own.ewma_z), ratio, more,
-        )  # fmt: skip
+        shown.add_row(name, *_deviation_cells(name, own, result.unit), ratio, more)
     return shown
 
 
@@ -328,15 +339,15 @@ BASIS_IN_WORDS: Final = {
 
 def render_chart(found: CheckBlockChart) -> str:
     """Return the page; the same chart gives the same text."""
-    chart = found.chart
+    chart, result = found.chart, found.result
     last = chart.verdicts[-1] if chart.verdicts else None
     look = "none" if last is None else "passed" if last.accepted else "failed"
     word = {"none": "No verdict yet", "passed": "✓ In control", "failed": "✗ Out of control"}[look]
     figures = []
     if last is not None:
         figures = [
-            Markup(svg_figure("joint", (7.4, 5.6), _Joint(found).draw, "T², EWMA and s of every run")),  # noqa: S704 - our own drawing
-            Markup(svg_figure("single", (7.4, 8.2), _Single(found).draw, "every coefficient by run")),  # noqa: S704 - our own drawing
+            Markup(svg_figure("joint", (7.4, 5.6), partial(_joint, found), "T², EWMA and s of every run")),  # noqa: S704 - our own drawing
+            Markup(svg_figure("single", (7.4, 8.2), partial(_single, found), "every coefficient by run")),  # noqa: S704 - our own drawing
         ]
     return page(
         "control_chart.html.j2",
@@ -348,59 +359,49 @@ def render_chart(found: CheckBlockChart) -> str:
         basis=BASIS_IN_WORDS[chart.design.basis],
         factor=f"{float(np.sqrt(chart.centre.scale)):.2f}",
         figures=figures,
-        runs=_runs(found),
-        coefficients=_coefficients(found),
+        runs=_runs(result),
+        coefficients=_coefficients(result),
         components=_plotted_components(found),
-        drift=_drift(found),
+        drift=_drift(result),
         singles=(f"{chart.limit_single:.2f}", f"{chart.limit_single_ewma:.2f}"),
         limits=(f"{chart.limit_t2:.1f}", f"{chart.limit_ewma:.1f}"),
     )
 
 
-class _Joint:
-    """Three panels over one another: T² of each run, T² of the EWMA, the short-term standard deviation."""
-
-    def __init__(self, found: CheckBlockChart) -> None:
-        self._chart, self._unit = found.chart, found.unit
-
-    def draw(self, figure: Figure) -> None:
-        chart = self._chart
-        shown = slice(-MOST_SHOWN, None)
-        panels = figure.subplots(3 if chart.short is not None else 2, sharex=True, squeeze=False)[:, 0]
-        along = np.arange(1.0, len(chart.later) + 1)[shown]
-        _panel(panels[0], along, chart.shewhart.t2[shown], np.full(len(along), chart.limit_t2))
-        panels[0].set_ylabel("T² of the run")
-        _panel(panels[1], along, chart.ewma.t2[shown], np.full(len(along), chart.limit_ewma))
-        panels[1].set_ylabel(f"T² of the EWMA (λ = {chart.design.smoothing:g})")
-        if chart.short is not None:
-            scale = scale_for(chart.short.pooled, self._unit)
-            limits = chart.short.limits(chart.design.alpha)[shown] / scale.size
-            _panel(panels[2], along, chart.short.s[shown] / scale.size, limits)
-            panels[2].axhline(chart.short.pooled / scale.size, color=GREY, linewidth=0.7)
-            panels[2].set_ylabel(f"s of a reading / {scale.unit}")
-        _name_runs(panels[-1], chart, along)
+def _joint(found: CheckBlockChart, figure: Figure) -> None:
+    """Draw T² of each run over T² of the EWMA over the short-term standard deviation."""
+    chart = found.chart
+    shown = slice(-MOST_SHOWN, None)
+    panels = figure.subplots(3 if chart.short is not None else 2, sharex=True, squeeze=False)[:, 0]
+    along = np.arange(1.0, len(chart.later) + 1)[shown]
+    _panel(panels[0], along, chart.shewhart.t2[shown], np.full(len(along), chart.limit_t2))
+    panels[0].set_ylabel("T² of the run")
+    _panel(panels[1], along, chart.ewma.t2[shown], np.full(len(along), chart.limit_ewma))
+    panels[1].set_ylabel(f"T² of the EWMA (λ = {chart.design.smoothing:g})")
+    if chart.short is not None:
+        scale = scale_for(chart.short.pooled, found.unit)
+        limits = chart.short.limits(chart.design.alpha)[shown] / scale.size
+        _panel(panels[2], along, chart.short.s[shown] / scale.size, limits)
+        panels[2].axhline(chart.short.pooled / scale.size, color=GREY, linewidth=0.7)
+        panels[2].set_ylabel(f"s of a reading / {scale.unit}")
+    _name_runs(panels[-1], chart, along)
 
 
-class _Single:
-    """A panel for each coefficient: deviation from the centre with limits, and the EWMA with its own."""
-
-    def __init__(self, found: CheckBlockChart) -> None:
-        self._chart, self._unit = found.chart, found.unit
-
-    def draw(self, figure: Figure) -> None:
-        chart = self._chart
-        shown = slice(-MOST_SHOWN, None)
-        along = np.arange(1.0, len(chart.later) + 1)[shown]
-        largest = max(float(np.max(chart.shewhart.u)), 1e-30) * chart.limit_single
-        scale = scale_for(largest, self._unit)
-        grid = figure.subplots(4, 3, sharex=True)
-        for k, name in enumerate(COEFFICIENTS):
-            axes = grid.flat[k]
-            _coefficient(axes, chart, k, along, shown, scale.size)
-            axes.set_title(symbol(name))
-            axes.xaxis.get_major_locator().set_params(integer=True)
-        figure.supylabel(f"off the centre / {scale.per_g}, biases: {scale.unit}", fontsize=8)
-        figure.supxlabel("run after the baseline", fontsize=8)
+def _single(found: CheckBlockChart, figure: Figure) -> None:
+    """Draw for each coefficient the deviation from the centre with limits, and the EWMA with its own."""
+    chart = found.chart
+    shown = slice(-MOST_SHOWN, None)
+    along = np.arange(1.0, len(chart.later) + 1)[shown]
+    largest = max(float(np.max(chart.shewhart.u)), 1e-30) * chart.limit_single
+    scale = scale_for(largest, found.unit)
+    grid = figure.subplots(4, 3, sharex=True)
+    for k, name in enumerate(COEFFICIENTS):
+        axes = grid.flat[k]
+        _coefficient(axes, chart, k, along, shown, scale.size)
+        axes.set_title(symbol(name))
+        axes.xaxis.get_major_locator().set_params(integer=True)
+    figure.supylabel(f"off the centre / {scale.per_g}, biases: {scale.unit}", fontsize=8)
+    figure.supxlabel("run after the baseline", fontsize=8)
 
 
 def _coefficient(axes: Axes, chart: Any, k: int, along: Floats, shown: slice, size: float) -> None:
@@ -442,46 +443,30 @@ def _name_runs(axes: Axes, chart: Any, along: Floats) -> None:
     axes.set_xticks(ticks, [f"{chart.later[int(k) - 1].when:{text}}" for k in ticks], fontsize=7)
 
 
-def _runs(found: CheckBlockChart) -> list[dict[str, Any]]:
-    chart = found.chart
-    rows = []
-    for row in list(range(len(chart.later)))[-MOST_SHOWN:][::-1]:
-        verdict, short = chart.verdicts[row], chart.short
-        ewma = float(chart.ewma.t2[row])
-        cells = [
-            f"{verdict.when:%Y-%m-%d %H:%M}",
-            f"{chart.shewhart.t2[row]:.1f}",
-            "–" if np.isnan(ewma) else f"{ewma:.1f}",
-            "–" if short is None else f"{np.sqrt(short.f[row]):.2f}",
-            "in control" if verdict.accepted else "; ".join(verdict.reasons),
-        ]
-        rows.append({"head": verdict.run, "cells": cells, "bad": not verdict.accepted})
-    return rows
+def _runs(result: ChartResult) -> list[Row]:
+    return [
+        Row(
+            run.run,
+            (*_run_cells(run), "in control" if run.accepted else "; ".join(run.reasons)),
+            not run.accepted,
+        )
+        for run in result.runs[-MOST_SHOWN:][::-1]
+    ]
 
 
-def _coefficients(found: CheckBlockChart) -> list[dict[str, Any]]:
-    chart = found.chart
-    if not chart.verdicts:
-        return []
-    rows = []
-    for k, name in enumerate(COEFFICIENTS):
-        u, deviation = float(chart.shewhart.u[-1, k]), float(chart.shewhart.deviation[-1, k])
-        scale = scale_for(u, found.unit)
-        unit = scale.unit if name.startswith("U0") else scale.per_g
-        ewma = float(chart.ewma.z[-1, k])
-        z = float(chart.shewhart.z[-1, k])
-        cells = [
-            f"{fixed(deviation / scale.size, 1)} {unit}",
-            f"{u / scale.size:.1f} {unit}",
-            f"{z:+.1f}".replace("-", MINUS),
-            "–" if np.isnan(ewma) else f"{ewma:+.1f}".replace("-", MINUS),
-        ]
-        beyond = abs(z) > chart.limit_single or abs(ewma) > chart.limit_single_ewma
-        rows.append({"head": Markup(_html(name)), "cells": cells, "bad": beyond})  # noqa: S704 - our own names
-    return rows
+def _coefficients(result: ChartResult) -> list[Row]:
+    limits = result.limits
+    return [
+        Row(
+            _html(name),
+            tuple(_deviation_cells(name, own, result.unit)),
+            abs(own.z) > limits.single or abs(own.ewma_z or 0.0) > limits.single_ewma,
+        )
+        for name, own in (result.runs[-1].coefficients.items() if result.runs else ())
+    ]
 
 
-def _plotted_components(found: CheckBlockChart) -> list[dict[str, Any]]:
+def _plotted_components(found: CheckBlockChart) -> list[Row]:
     parts = found.chart.components
     if parts is None:
         return []
@@ -489,30 +474,24 @@ def _plotted_components(found: CheckBlockChart) -> list[dict[str, Any]]:
     for k, name in enumerate(COEFFICIENTS):
         scale = scale_for(float(parts.stated[k]), found.unit)
         columns = (parts.noise, parts.stated, parts.scatter, parts.between, parts.between_most)
-        unit = scale.unit if name.startswith("U0") else scale.per_g
         sizes = ["0" if column[k] == 0.0 else two_digits(float(column[k]) / scale.size) for column in columns]
-        cells = [*(f"{size} {unit}" for size in sizes), f"{parts.f[k]:.2f}", probability(float(parts.p[k]))]
-        bad = bool(parts.more_than_stated[k] < 0.01)
-        rows.append({"head": Markup(_html(name)), "cells": cells, "bad": bad})  # noqa: S704 - our own names
+        cells = (f"{size} {_unit_of(name, scale)}" for size in sizes)
+        p = probability(float(parts.p[k]))
+        rows.append(
+            Row(_html(name), (*cells, f"{parts.f[k]:.2f}", p), bool(parts.more_than_stated[k] < 0.01))
+        )
     return rows
 
 
-def _drift(found: CheckBlockChart) -> list[dict[str, Any]]:
-    drift = found.chart.drift
-    if drift is None:
-        return []
+def _drift(result: ChartResult) -> list[Row]:
     rows = []
-    for k, name in enumerate(COEFFICIENTS):
-        scale = scale_for(float(drift.u[k]), found.unit)
-        unit = scale.unit if name.startswith("U0") else scale.per_g
-        cells = [
-            f"{fixed(float(drift.per_year[k]) / scale.size, 1)} {unit}",
-            f"{float(drift.u[k]) / scale.size:.1f} {unit}",
-            probability(float(drift.p[k])),
-        ]
-        rows.append({"head": Markup(_html(name)), "cells": cells, "bad": bool(drift.p[k] < 0.01)})  # noqa: S704 - our own names
+    for name, one in (result.drift or {}).items():
+        scale = scale_for(one.u, result.unit)
+        unit = _unit_of(name, scale)
+        sizes = (f"{fixed(one.per_year / scale.size, 1)} {unit}", f"{one.u / scale.size:.1f} {unit}")
+        rows.append(Row(_html(name), (*sizes, probability(one.p)), one.p < 0.01))
     return rows
 
 
-def _html(name: str) -> str:
-    return f"{name[0]}<sub>{name[1:]}</sub>"
+def _html(name: str) -> Markup:
+    return Markup("{}<sub>{}</sub>").format(name[0], name[1:])

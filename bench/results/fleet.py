@@ -13,12 +13,12 @@ from rich.console import Console
 from bench.base.arrays import Floats, u_of
 from bench.base.numbers import MINUS, fixed, places, quantity
 from bench.base.result_model import Matrix, Real, ResultModel
-from bench.base.tables import table
+from bench.base.tables import print_notes, table
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.history import bench_or_block, capability, drift, prior
 from bench.history.measured import STANDARD_GRAVITY
 from bench.model.geometry import COEFFICIENTS
-from bench.results.parts import ValuePart, by_coefficient, print_notes
+from bench.results.parts import ValuePart, by_coefficient
 
 if TYPE_CHECKING:
     pass
@@ -206,7 +206,7 @@ def print_effects(result: EffectsResult, out: Console) -> None:
             out.print(f"{what} {one.name} stands out in {one.coefficient}: {sizes}")
         if len(apart) > MOST_SHOWN:
             out.print(f"… and {len(apart) - MOST_SHOWN} more, in the JSON")
-    print_notes(result.notes, out)
+    print_notes(out, result.notes)
     out.print(result.answer, style="bold")
 
 
@@ -266,7 +266,7 @@ def print_prior(result: PriorResult, out: Console) -> None:
         sizes = (one.mean, one.u, one.between_units, one.u_mean)
         shown.add_row(name, *(fixed(size, digits) for size in sizes))
     out.print(shown)
-    print_notes(result.notes, out)
+    print_notes(out, result.notes)
 
 
 # --- the drift of a unit ------------------------------------------------------------------------------
@@ -354,7 +354,7 @@ def print_drift(result: DriftResult, out: Console) -> None:
             row += [fixed(size, places(then.u)) for size in (then.value, then.u)]
         shown.add_row(*row)
     out.print(shown)
-    print_notes(result.notes, out)
+    print_notes(out, result.notes)
 
 
 # --- the laboratory's capability ----------------------------------------------------------------------
@@ -461,4 +461,4 @@ def print_capability(result: CapabilityResult, out: Console) -> None:
             "units drift" if one.drift_of_units.taken_out else "",
         )  # fmt: skip
     out.print(shown)
-    print_notes(result.notes, out)
+    print_notes(out, result.notes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Any
 
 from pydantic import Field
 from rich.console import Console
@@ -100,26 +100,9 @@ class LearnResult(ResultModel):
     notes: list[str]
 
 
-def learn_result(
-    found: Learned,
-    *,
-    bench: BenchPart,
-    learned_for: str,
-    made: str,
-    expires: str,
-    simulated: bool,
-    records: Sequence[RecordPart],
-    effects: Sequence[str],
-    notes: Sequence[str],
-) -> LearnResult:
-    """Return what was learned of a bench, with what it was learned from, as `--json` writes it."""
+def learn_result(found: Learned, **made_from: Any) -> LearnResult:
+    """Return what was learned of a bench as `--json` writes it; `made_from` are the members of its runs."""
     return LearnResult(
-        bench=bench,
-        learned_for=learned_for,
-        made=made,
-        expires=expires,
-        simulated=simulated,
-        records=list(records),
         runs=list(found.runs),
         contradicting=[ContradictionPart.from_object(one) for one in found.contradicting],
         sizes={size.name: SizePart.from_object(size) for size in found.sizes()},
@@ -129,8 +112,7 @@ def learn_result(
         ),
         meters=None if isinstance(found.meters, str) else _meters(found.meters),
         not_identified=found.not_identified(),
-        effects=list(effects),
-        notes=list(notes),
+        **made_from,
     )
 
 

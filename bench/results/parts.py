@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from pydantic import Field
-from rich.console import Console
 
 from bench.base.arrays import CHANNELS, Floats, u_of
-from bench.base.computing import quiet
 from bench.base.result_model import Real, ResultModel
-from bench.calibration.result import SourceOfError
+from bench.calibration.result import LackOfFit, SourceOfError
 from bench.model.geometry import COEFFICIENTS
 
 Part = TypeVar("Part", bound=ResultModel)
@@ -24,10 +23,16 @@ def by_coefficient(part: type[Part], **columns: Iterable[Any]) -> dict[str, Part
     return {name: part(**dict(zip(columns, row, strict=True))) for name, row in named}
 
 
-def print_notes(notes: Iterable[str], out: Console) -> None:
-    """Print notes among a result; `--quiet` leaves them to the JSON and the page."""
-    for note in () if quiet.get() else notes:
-        out.print(f"note: {note}")
+REPEATS: Final = "lack of fit against the repeats"
+TOO_FEW: Final = "lack of fit: too few repeats to tell"
+
+
+def fit_in_words(fit: LackOfFit, contradicted: str, what: str = REPEATS, untold: str = TOO_FEW) -> str:
+    """Return the outcome of a test: `contradicted` where lack of fit is shown, `untold` without repeats."""
+    if not math.isfinite(fit.p):
+        return untold
+    verdict = contradicted if fit.shown else "none shown at 1 %"
+    return f"{what}: chi2 {fit.chi2:.1f} for {fit.dof}, p = {fit.p:.2g}: {verdict}"
 
 
 # --- what a result is made from ---------------------------------------------------------------------

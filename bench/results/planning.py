@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import dataclass
 from typing import Final, Literal
 
 from pydantic import Field
@@ -114,34 +115,41 @@ class RequireResult(ResultModel):
     alternatives: list[AlternativePart]
 
 
-def print_requirement(
-    found: RequireResult, out: Console, *, up_to_g: float | None, left_out: tuple[str, ...]
-) -> None:
-    """Print the limits, the alternatives, whether the bench as it is keeps to the accuracy.
+@dataclass(frozen=True)
+class Requirements:
+    """The result of `bench require`, with further data for its text.
 
-    `up_to_g` is the largest acceleration, where one is asked about; `left_out` says what is not counted.
+    `up_to_g` is the largest acceleration asked about, if any; `left_out` names the errors that are not counted.
     """
-    up_to = "" if up_to_g is None else f" up to {up_to_g:g} g"
-    out.print(
-        f"{found.of}{up_to}: {found.k:g} u within {_micro(found.accuracy)} µ{found.unit}, by {found.estimator} "
-        f"from procedure {found.procedure} on {found.bench}"
-    )
-    out.print(_limit_table(found))
-    if found.why_not_together:
-        out.print(f"no balanced set: {found.why_not_together}")
-    out.print(_alternative_table(found))
-    counted = " by the errors counted" if found.not_counted else ""
-    out.print(
-        f"bench as it is: {found.k:g} u = {_micro(found.reached)} µ{found.unit}{counted}: "
-        f"{'KEPT' if found.kept else 'NOT KEPT'}",
-        style="bold",
-    )
-    if found.not_counted:
-        more = ", MORE THAN THE ACCURACY" if found.not_counted > found.accuracy else ""
+
+    result: RequireResult
+    up_to_g: float | None
+    left_out: tuple[str, ...]
+
+    def print_on(self, out: Console) -> None:
+        """Print the limits, the alternatives, whether the bench as it is keeps to the accuracy."""
+        found = self.result
+        up_to = "" if self.up_to_g is None else f" up to {self.up_to_g:g} g"
         out.print(
-            f"not counted: {' and '.join(left_out)}: {found.k:g} u = {_micro(found.not_counted)} µ{found.unit} "
-            f"by itself{more}"
+            f"{found.of}{up_to}: {found.k:g} u within {_micro(found.accuracy)} µ{found.unit}, by "
+            f"{found.estimator} from procedure {found.procedure} on {found.bench}"
         )
+        out.print(_limit_table(found))
+        if found.why_not_together:
+            out.print(f"no balanced set: {found.why_not_together}")
+        out.print(_alternative_table(found))
+        counted = " by the errors counted" if found.not_counted else ""
+        out.print(
+            f"bench as it is: {found.k:g} u = {_micro(found.reached)} µ{found.unit}{counted}: "
+            f"{'KEPT' if found.kept else 'NOT KEPT'}",
+            style="bold",
+        )
+        if found.not_counted:
+            more = ", MORE THAN THE ACCURACY" if found.not_counted > found.accuracy else ""
+            out.print(
+                f"not counted: {' and '.join(self.left_out)}: {found.k:g} u = {_micro(found.not_counted)} "
+                f"µ{found.unit} by itself{more}"
+            )
 
 
 def _limit_table(found: RequireResult) -> Table:
@@ -258,38 +266,49 @@ def plan_points_result(
     )
 
 
-def print_points(
-    found: PlanPointsResult, out: Console, *, paper_settings: int, learned: bool, time: str | None
-) -> None:
-    """Print the points of each mounting, the goals, the time, and what a reader should know.
+@dataclass(frozen=True)
+class PlannedPoints:
+    """The result of `bench plan-points`, with further data for its text.
 
-    `learned` is whether something was learned of the bench, `time` the one that was allowed.
+    `paper_settings` are those of the paper's procedure, `learned` says whether learned sizes of the bench
+    were used, `time` is the bench time allowed.
     """
-    shown = table("installation", ">settings", "angles (visits where more than one)")
-    visits: dict[tuple[int, str], Counter[float]] = {}
-    for point in found.points:
-        visits.setdefault((point.series, point.installation), Counter())[point.angle_deg] += 1
-    for mount, angles in zip(found.mountings, visits.values(), strict=True):
-        visited = (f"{angle:.6g}°" + (f"×{n}" if n > 1 else "") for angle, n in sorted(angles.items()))
-        shown.add_row(mount, str(angles.total()), " ".join(visited))
-    out.print(shown)
-    out.print(_goal_table(found, paper_settings))
-    out.print(
-        f"{found.settings} settings in {len(found.mountings)} mountings on {found.bench}: about "
-        f"{duration(found.time_s)}, warm-up and verification points included"
-    )
-    out.print("u is the combined one, which 'bench calibrate' will sign; 'bench budget' has its parts")
-    if learned:
-        out.print("what was learned of this bench is not in it: a plan goes by the limits of the bench file")
-    if not found.lack_of_fit_tested:
+
+    result: PlanPointsResult
+    paper_settings: int
+    learned: bool
+    time: str | None
+
+    def print_on(self, out: Console) -> None:
+        """Print the points of each mounting, the goals, the time, and what a reader should know."""
+        found = self.result
+        shown = table("installation", ">settings", "angles (visits where more than one)")
+        visits: dict[tuple[int, str], Counter[float]] = {}
+        for point in found.points:
+            visits.setdefault((point.series, point.installation), Counter())[point.angle_deg] += 1
+        for mount, angles in zip(found.mountings, visits.values(), strict=True):
+            visited = (f"{angle:.6g}°" + (f"×{n}" if n > 1 else "") for angle, n in sorted(angles.items()))
+            shown.add_row(mount, str(angles.total()), " ".join(visited))
+        out.print(shown)
+        out.print(_goal_table(found, self.paper_settings))
         out.print(
-            "too few repeats for a calibration's lack-of-fit test: an error that no file states may go unseen"
+            f"{found.settings} settings in {len(found.mountings)} mountings on {found.bench}: about "
+            f"{duration(found.time_s)}, warm-up and verification points included"
         )
-    if found.procedure is not None:
-        out.print(f"procedure: {found.procedure}")
-    if found.reached is False:
-        times, name = max((goal.u / (goal.asked_u or math.inf), goal.name) for goal in found.goals)
-        out.print(f"NOT REACHED in {time}: {name} is {times:.3g} times what is asked")
+        out.print("u is the combined one, which 'bench calibrate' will sign; 'bench budget' has its parts")
+        if self.learned:
+            out.print(
+                "what was learned of this bench is not in it: a plan goes by the limits of the bench file"
+            )
+        if not found.lack_of_fit_tested:
+            out.print(
+                "too few repeats for a calibration's lack-of-fit test: an error that no file states may go unseen"
+            )
+        if found.procedure is not None:
+            out.print(f"procedure: {found.procedure}")
+        if found.reached is False:
+            times, name = max((goal.u / (goal.asked_u or math.inf), goal.name) for goal in found.goals)
+            out.print(f"NOT REACHED in {self.time}: {name} is {times:.3g} times what is asked")
 
 
 def _goal_table(found: PlanPointsResult, paper_settings: int) -> Table:

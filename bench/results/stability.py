@@ -12,9 +12,9 @@ from rich.table import Table
 from bench.base.arrays import CHANNELS
 from bench.base.numbers import MINUS, probability, quantity, scale_for
 from bench.base.result_model import Real, ResultModel, Vector
-from bench.base.tables import table
+from bench.base.tables import print_notes, table
 from bench.history.stability import Stability
-from bench.results.parts import BenchPart, print_notes
+from bench.results.parts import BenchPart
 from bench.results.plots import BLUE, GREEN, GREY, VERMILION, svg_file
 from bench.stats.allan import MISFIT_P, TERMS, NoiseTerms
 
@@ -135,7 +135,7 @@ def print_stability(found: Stability, out: Console) -> None:
                 f"({probability(terms.p)}): vibration or another line is in it; their uncertainties "
                 "are widened"
             )
-            print_notes([misfit], out)
+            print_notes(out, [misfit])
     if found.advice is None:
         out.print(f"no reading follows: {found.no_advice}")
         return

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
@@ -16,7 +15,7 @@ from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.budget.whole import OF_BLOCK
 from bench.calibration.tumble import K, TumbleView
-from bench.results.parts import BenchPart, CorrectionPart, ExpandedPart, FitPart, UnitPart
+from bench.results.parts import BenchPart, CorrectionPart, ExpandedPart, FitPart, UnitPart, fit_in_words
 
 CLOSE: Final = 0.95
 """Two terms with a correlation beyond it are hardly told apart."""
@@ -129,14 +128,7 @@ def print_tumble(view: TumbleView, name: str, on: Console) -> None:
         on.print(
             f"{first} and {second} hang together (r = {r:.3f}): a sum of them is known far better than each"
         )
-    fit = view.lack_of_fit
-    if math.isfinite(fit.p):
-        verdict = "none shown at 1 %" if not fit.shown else "THESE TERMS DO NOT FIT the readings"
-        on.print(
-            f"lack of fit against the repeats: chi2 {fit.chi2:.1f} for {fit.dof}, p = {fit.p:.2g}: {verdict}"
-        )
-    else:
-        on.print("lack of fit: too few repeats to tell")
+    on.print(fit_in_words(view.lack_of_fit, "THESE TERMS DO NOT FIT the readings"))
     print_notes(on, list(_left_out(view)))
 
 

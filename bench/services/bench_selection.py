@@ -266,10 +266,6 @@ class BenchTaken:
         """Return name, path, reason and SHA-256 of the bench file as a part of a result."""
         return BenchPart(name=self.file.name, file=self.where, why=self.reason, sha256=self.sha256)
 
-    def to_dict(self) -> dict[str, str]:
-        """Return name, path, reason and SHA-256 of the bench file as a dictionary."""
-        return {"name": self.file.name, "file": self.where, "why": self.reason, "sha256": self.sha256}
-
 
 def bench_path(given: str | None) -> Path:
     """Return the path of the bench file `given`, else of the one in BENCH_FILE, else of the shipped one."""

@@ -63,13 +63,7 @@ def read_coefficients(path: Path, unit: str) -> Coefficients:
     Raises `Refused` when the file is no such result, holds an invalid number, or has another unit than the
     readings.
     """
-    try:
-        data = from_text(read_given(path).decode())
-    except OSError as error:
-        raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
-    except ValueError as error:
-        raise Refused(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
-    taken = coefficients_of(data, str(path))
+    taken = coefficients_of(_read(path), str(path))
     if taken.unit != unit:
         raise Refused(f"{path}: coefficients in {taken.unit}/g, but the readings are in {unit}")
     return taken
@@ -287,20 +281,29 @@ def impossible(covariance: Floats) -> str:
     return ""
 
 
-def snapshots_in(path: Path) -> list[Snapshot]:
-    """Return the calibrations in a result of `calibrate --json`. Raises `Refused` for another file."""
+def _read(path: Path) -> Any:
     try:
-        data = from_text(read_given(path).decode())
+        return from_text(read_given(path).decode())
     except OSError as error:
         raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
     except ValueError as error:
         raise Refused(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
-    results = data if isinstance(data, list) else [data]
-    return [_from_result(result, path, k if len(results) > 1 else 0) for k, result in enumerate(results, 1)]
 
 
-def _from_result(data: Any, path: Path, number: int) -> Snapshot:
-    name = f"{path}, result {number}" if number else str(path)
+def results_in(path: Path) -> list[tuple[Any, str]]:
+    """Return the results in a file of `calibrate --json`, each with its name. Raises `Refused` for another file."""
+    data = _read(path)
+    if not isinstance(data, list) or len(data) == 1:
+        return [(data[0] if isinstance(data, list) else data, str(path))]
+    return [(one, f"{path}, result {k}") for k, one in enumerate(data, 1)]
+
+
+def snapshots_in(path: Path) -> list[Snapshot]:
+    """Return the calibrations in a result of `calibrate --json`. Raises `Refused` for another file."""
+    return [_snapshot(data, name) for data, name in results_in(path)]
+
+
+def _snapshot(data: Any, name: str) -> Snapshot:
     found = coefficients_of(data, name)
     block = data.get("unit_under_test")
     if not isinstance(block, dict):

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.base.files import from_text, read_regular, to_text
+from bench.base.files import to_text
 from bench.base.text import repeated
 from bench.calibration import Verification, verify
 from bench.calibration.budget.sources import assumed_stand
@@ -32,7 +32,7 @@ from bench.results.compensation import CompensateResult, compensate_result
 from bench.results.tumble import TumbleResult, tumble_result
 from bench.run.events import MANIFEST
 from bench.services.calibration import calibration_of
-from bench.services.coefficients import block_result
+from bench.services.coefficients import block_result, results_in
 from bench.services.errors import Refused
 from bench.services.requests.evaluation import Compensate
 from bench.services.source import Request, Source, load_sources
@@ -230,20 +230,10 @@ def _is_result(path: Path) -> bool:
 
 
 def _read(path: Path, out: Path | None) -> list[CalibrationToWrite]:
-    try:
-        data = from_text(read_regular(path).decode())
-    except OSError as error:
-        raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
-    except ValueError as error:
-        raise Refused(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
-    results = data if isinstance(data, list) else [data]
-    many = len(results) > 1
+    results = results_in(path)
     stem = (out or path.parent / "coefficients") / path.stem
+    stems = [stem.with_name(f"{stem.name}-{k}") for k in range(1, len(results) + 1)]
     return [
-        CalibrationToWrite(
-            block_result(one, f"{path}, result {k}" if many else str(path)),
-            stem.with_name(f"{stem.name}-{k}") if many else stem,
-            None,
-        )
-        for k, one in enumerate(results, 1)
+        CalibrationToWrite(block_result(data, name), own if len(results) > 1 else stem, None)
+        for (data, name), own in zip(results, stems, strict=True)
     ]

@@ -121,7 +121,7 @@ class LearningResult:
             simulated=self.simulated,
             records=[RecordPart(**_record(source)) for source in self.behind],
             effects=[applied.effect.name for applied in self.effects],
-            notes=self.notes,
+            notes=list(self.notes),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -400,7 +400,7 @@ class ComparisonResult:
     @cached_property
     def result(self) -> CompareResult:
         """The result as `bench compare --json` writes it."""
-        bench = [BenchOfSource(source=name, **taken.to_dict()) for name, taken in self.taken]
+        bench = [BenchOfSource(source=name, **taken.part().to_dict()) for name, taken in self.taken]
         return compare_result(self.found, bench)
 
     def files(self, folder: Path) -> Files:

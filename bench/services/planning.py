@@ -5,12 +5,11 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from rich.console import Console
 
 from bench.base.arrays import Floats
 from bench.base.computing import tracked
@@ -68,11 +67,10 @@ from bench.results.budget import BudgetResult, budget_result
 from bench.results.planning import (
     AlternativePart,
     LimitPart,
-    PlanPointsResult,
+    PlannedPoints,
+    Requirements,
     RequireResult,
     plan_points_result,
-    print_points,
-    print_requirement,
 )
 from bench.run.sentences import duration
 from bench.services.arguments import python_call
@@ -86,26 +84,6 @@ from bench.services.verification import VerdictOptions, judgement_of
 from drivers.clock import utc_now
 
 MOST_ANGLES: Final = 72
-
-
-@dataclass(frozen=True)
-class PlannedPoints:
-    """The result of `bench plan-points`, with further data for its text.
-
-    `paper_settings` are those of the paper's procedure, `learned` says whether learned sizes of the bench
-    were used, `time` is the bench time allowed.
-    """
-
-    result: PlanPointsResult
-    paper_settings: int
-    learned: bool
-    time: str | None
-
-    def print_on(self, out: Console) -> None:
-        """Print the points of each mounting, the goals and the time."""
-        print_points(
-            self.result, out, paper_settings=self.paper_settings, learned=self.learned, time=self.time
-        )
 
 
 def planned(request: PlanPoints) -> PlannedPoints:
@@ -386,23 +364,6 @@ PROCEDURES: Final = (
 
 DELTA_G, ACCELERATION_OF, MODULUS_OF = "delta-g", "acceleration", "modulus"
 ACCELERATIONS: Final = frozenset({ACCELERATION_OF, MODULUS_OF})
-
-
-@dataclass(frozen=True)
-class Requirements:
-    """The result of `bench require`, with further data for its text.
-
-    `up_to_g` is the largest acceleration asked about, if any; `left_out` names the errors that are not
-    counted.
-    """
-
-    result: RequireResult
-    up_to_g: float | None
-    left_out: tuple[str, ...]
-
-    def print_on(self, out: Console) -> None:
-        """Print the limits, the alternatives, whether the bench as it is keeps to the accuracy."""
-        print_requirement(self.result, out, up_to_g=self.up_to_g, left_out=self.left_out)
 
 
 def requirements(request: Require) -> Requirements:

@@ -67,8 +67,8 @@ def test_the_rule_that_was_agreed_stands_before_the_default(folder, tmp_path, of
     assert DecisionRule.of_json(told) == rule
     # and so it is held against the record
     attached = {one.name: one.content for one in made.attachments}
-    k = SimpleNamespace(k=made.k)
-    shown = SimpleNamespace(files=attached, coefficients=(k,), release=version("triaxial-bench"))
+    says = SimpleNamespace(coefficients={"Kxx": SimpleNamespace(k=made.k)})
+    shown = SimpleNamespace(files=attached, says=says, release=version("triaxial-bench"))
     assert "to the last digit" in held_against_record(shown, folder / "runs").told
     words = rule_said(made.texts[0].say, rule)
     assert f"w = {rule.guard_band:g} U" in words or rule.name == "simple acceptance"

@@ -93,13 +93,16 @@ def test_with_one_it_is_of_the_signer_or_of_another(written):
 def test_what_is_shown_is_what_was_signed(made, written):
     shown = looked_at(written / "c.pdf").shown
     found = made.certificate.found
-    assert shown.number == made.certificate.number
-    assert shown.laboratory == "Inertial Calibration Laboratory"
-    assert shown.customer == "Navigation Works"
-    assert shown.items == (f"{found.item.type}, {found.item.serial}",)
-    assert shown.simulated
-    assert shown.authorised_by == "A. Example"
-    assert [one.value for one in shown.coefficients] == [one.value for one in found.coefficients.values]
+    says = shown.says
+    assert says.number == made.certificate.number
+    assert says.laboratory == "Inertial Calibration Laboratory"
+    assert says.customer == "Navigation Works"
+    assert says.items == [f"{found.item.type}, {found.item.serial}"]
+    assert says.simulated
+    assert says.authorised_by == "A. Example"
+    assert [one.value for one in says.coefficients.values()] == [
+        one.value for one in found.coefficients.values
+    ]
     assert [list(row) for row in shown.covariance] == found.coefficients.covariance.tolist()
     json.dumps(looked_at(written / "c.pdf").result().to_dict())
 
@@ -108,7 +111,7 @@ def test_comments_are_told_and_not_shown(made, tmp_path):
     (tmp_path / "c.xml").write_bytes(made.xml.replace(b"Navigation Works", b"Nav<!-- -->igation Works"))
     verdict = looked_at(tmp_path / "c.xml")
     assert verdict.intact
-    assert verdict.shown.customer == "Navigation Works"
+    assert verdict.shown.says.customer == "Navigation Works"
     assert "1 comments" in verdict.not_signed[0]
 
 

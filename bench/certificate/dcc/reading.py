@@ -265,13 +265,7 @@ class Section:
 
 def section_of(path: Path, root: Node) -> Section:
     """Return the section `certificate` of an instrument. Raises `Refused` for a document that says too little."""
-    core = "dcc:administrativeData/dcc:coreData/dcc:{}"
-    lab = "dcc:administrativeData/dcc:calibrationLaboratory/dcc:contact/dcc:name/dcc:content"
-    stated: dict[str, Any] = {
-        "number": said(root, core.format("uniqueIdentifier")),
-        "laboratory": said(root, lab),
-        "date": said(root, core.format("endPerformanceDate")),
-    }
+    stated: dict[str, Any] = {**_about(root)}
     lacking = [name for name, text in stated.items() if not text]
     if lacking:
         raise Refused(f"{path}: the document does not state its {', '.join(lacking)}")

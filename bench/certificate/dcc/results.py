@@ -41,7 +41,7 @@ from bench.certificate.dcc.nodes import (
 from bench.certificate.laboratory import Texts
 from bench.certificate.signatures import NoCertificate, NotIntact
 from bench.readings.table import Readings
-from bench.results.certificate import CertificateSays
+from bench.results.certificate import CertificateSays, CertifiedCoefficient
 
 _LATEX: Final = (
     r"\vec{U} = K\,\vec{a} + \vec{U}_0,\quad \vec{a} = N\,(\vec{U} - \vec{U}_0),\quad N = K^{-1},\quad "
@@ -361,55 +361,18 @@ _LIST: Final = ".//si:realListXMLList"
 
 
 @dataclass(frozen=True)
-class Coefficient:
-    """A coefficient in a certificate: value, U = k u, k, unit (D-SI)."""
-
-    name: str
-    value: float
-    U: float
-    k: float
-    unit: str
-
-
-@dataclass(frozen=True)
 class ShownValues:
     """The values in a certificate; `files` are its attachments, `covariance` is for the coefficients.
 
-    `conformity` is the word of the DCC ("pass"), empty where it makes no statement; `release` is that of the
-    program that made it; `says_signed` whether it says that it is signed, None where it says nothing of that.
+    `release` is that of the program that made it; `says_signed` whether it says that it is signed, None where it
+    says nothing of that.
     """
 
-    number: str
-    laboratory: str
-    customer: str
-    items: tuple[str, ...]
-    calibrated: tuple[str, str]
-    issued: str
-    authorised_by: str
-    conformity: str
-    simulated: bool
+    says: CertificateSays
     says_signed: bool | None
     release: str
-    coefficients: tuple[Coefficient, ...]
     covariance: tuple[tuple[float, ...], ...]
     files: dict[str, bytes]
-
-    def part(self) -> CertificateSays:
-        """Return these values for a result of `bench`, with the files by name only."""
-        told = {name: getattr(self, name) for name in CertificateSays.model_fields}
-        coefficients = {
-            one.name: {"value": one.value, "U": one.U, "k": one.k, "unit": one.unit}
-            for one in self.coefficients
-        }
-        return CertificateSays.model_validate(
-            {
-                **told,
-                "items": list(self.items),
-                "calibrated": list(self.calibrated),
-                "coefficients": coefficients,
-                "files": sorted(self.files),
-            }
-        )
 
 
 def shown_of(content: bytes) -> ShownValues:
@@ -421,27 +384,25 @@ def shown_of(content: bytes) -> ShownValues:
         raise NoCertificate("it is no digital calibration certificate (DCC)")
     administrative = "dcc:administrativeData"
     covariance, coefficients = _coefficients(root)
-    return ShownValues(
+    files = dict(_file(one) for one in _all(root, ".//dcc:byteData"))
+    says = CertificateSays(
         number=_text(root, f"{_CORE}/dcc:uniqueIdentifier"),
         laboratory=_text(
             root, f"{administrative}/dcc:calibrationLaboratory/dcc:contact/dcc:name/dcc:content"
         ),
         customer=_text(root, f"{administrative}/dcc:customer/dcc:name/dcc:content"),
-        items=tuple(_item(one) for one in _all(root, f"{administrative}/dcc:items/dcc:item")),
-        calibrated=(
-            _text(root, f"{_CORE}/dcc:beginPerformanceDate"),
-            _text(root, f"{_CORE}/dcc:endPerformanceDate"),
-        ),
+        items=[_item(one) for one in _all(root, f"{administrative}/dcc:items/dcc:item")],
+        calibrated=[_text(root, f"{_CORE}/dcc:{end}PerformanceDate") for end in ("begin", "end")],
         issued=_text(root, f"{_CORE}/dcc:issueDate"),
         authorised_by=_signer(root),
         conformity=_text(root, ".//dcc:metaData[@refType='bench_conformity']/dcc:conformity"),
         simulated=_states(root, "simulated"),
-        says_signed=True if _states(root, "signed") else False if _states(root, "unsigned") else None,
-        release=_text(root, f"{administrative}/dcc:dccSoftware/dcc:software/dcc:release"),
         coefficients=coefficients,
-        covariance=covariance,
-        files=dict(_file(one) for one in _all(root, ".//dcc:byteData")),
+        files=sorted(files),
     )
+    says_signed = True if _states(root, "signed") else False if _states(root, "unsigned") else None
+    release = _text(root, f"{administrative}/dcc:dccSoftware/dcc:software/dcc:release")
+    return ShownValues(says, says_signed, release, covariance, files)
 
 
 def _states(root: Any, ref: str) -> bool:
@@ -478,12 +439,12 @@ def _file(node: Any) -> tuple[str, bytes]:
         raise NotIntact(f"the file {name} in the digital certificate cannot be read") from error
 
 
-def _coefficients(root: Any) -> tuple[tuple[tuple[float, ...], ...], tuple[Coefficient, ...]]:
+def _coefficients(root: Any) -> tuple[tuple[tuple[float, ...], ...], dict[str, CertifiedCoefficient]]:
     """Return covariance and coefficients of the last result that has them: of the unit as it is now."""
     results = _all(root, _COEFFICIENTS)
     found = None if not results else results[-1].find(_LIST, _NAMES)
     if found is None:
-        return (), ()
+        return (), {}
     expanded = "si:measurementUncertaintyUnivariateXMLList/si:expandedMUXMLList"
     labels, units = _words(found, "si:labelXMLList"), _words(found, "si:unitXMLList")
     values = _numbers(found, "si:valueXMLList")
@@ -496,7 +457,10 @@ def _coefficients(root: Any) -> tuple[tuple[tuple[float, ...], ...], tuple[Coeff
     if not len(labels) == len(units) == len(values) == len(U) == len(k) == len(covariance):
         raise NotIntact("the coefficients of the digital certificate are not one list")
     rows = zip(labels, values, U, k, units, strict=True)
-    return covariance, tuple(Coefficient(*row) for row in rows)
+    return covariance, {
+        label: CertifiedCoefficient(value=value, U=expanded_u, k=factor, unit=unit)
+        for label, value, expanded_u, factor, unit in rows
+    }
 
 
 def _words(node: Any, path: str) -> list[str]:

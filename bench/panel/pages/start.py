@@ -148,10 +148,7 @@ def _begun(panel: Panel, person: Person, wish: WishFolder) -> str:
 
 def _operator(request: Request) -> Person:
     person = looking(request)
-    if not person.role.includes(Role.OPERATOR):
-        raise Refusal(
-            403, f"{person.name} is signed in as {person.role}; this takes the role {Role.OPERATOR}"
-        )
+    person.require(Role.OPERATOR)
     return person
 
 
