@@ -5,17 +5,21 @@ from __future__ import annotations
 import inspect
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import date
 from functools import wraps
 from numbers import Integral, Real
-from typing import Any, Final, ParamSpec, TypeVar
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Final, ParamSpec, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from bench.base.text import shortened, visible
 from bench.config.bench_file.file import BenchFile
 from bench.readings.table import Readings
 from bench.services.bench_selection import BenchTaken
 from bench.services.errors import Refused, sentence
+from bench.services.requests import shared
+from bench.services.requests.evaluation import Calibrated
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -62,8 +66,8 @@ def _is_list_of(is_one: Callable[[Any], bool]) -> Callable[[Any], bool]:
     return lambda value: isinstance(value, list | tuple) and len(value) > 0 and all(map(is_one, value))
 
 
-def _is_flag(value: Any) -> bool:
-    return isinstance(value, bool)
+def _is_name_or_names(value: Any) -> bool:
+    return _is_name(value) or _is_list_of(_is_name)(value)
 
 
 def _is_pair(value: Any) -> bool:
@@ -71,66 +75,57 @@ def _is_pair(value: Any) -> bool:
 
 
 Kind = tuple[Callable[[Any], bool], str]
+"""What an argument must be: as a function, and in words."""
 
-_NAME: Final[Kind] = (_is_name, "the name of a file")
-_WORD: Final[Kind] = (_is_name, "a word")
-_FLAG: Final[Kind] = (_is_flag, "True or False")
-_NUMBER: Final[Kind] = (_is_number, "a number")
-_COUNT: Final[Kind] = (_is_count, "a whole number, 0 or more")
+NAME: Final[Kind] = (_is_name, "the name of a file")
+FLAG: Final[Kind] = (lambda value: isinstance(value, bool), "True or False")
 _A_SOURCE: Final = "a readings file, a run by name or path, or a table (Readings or pandas DataFrame)"
-_SOURCE: Final[Kind] = (_is_source, _A_SOURCE)
-_SOURCES: Final[Kind] = (_is_list_of(_is_source), f"a list, and in it {_A_SOURCE}")
-
-KINDS: Final[Mapping[str, Kind]] = {
-    "source": _SOURCE,
-    "sources": _SOURCES,
-    "readings": _SOURCE,
-    "bench": (
-        lambda value: isinstance(value, BenchFile | BenchTaken) or _is_name(value),
-        "a bench file by path or name, or one that was loaded",
+SOURCE: Final[Kind] = (_is_source, _A_SOURCE)
+BENCH: Final[Kind] = (
+    lambda value: isinstance(value, BenchFile | BenchTaken) or _is_name(value),
+    "a bench file by path or name, or one that was loaded",
+)
+KINDS: Final[Mapping[Any, Kind]] = {
+    shared.Data: SOURCE,
+    Sequence[shared.Data]: (_is_list_of(_is_source), f"a list, and in it {_A_SOURCE}"),
+    shared.Data | Sequence[shared.Data]: (
+        lambda value: _is_source(value) or _is_list_of(_is_source)(value),
+        f"{_A_SOURCE}, or a list of them",
     ),
-    "procedure": _NAME,
-    "model": _NAME,
-    "prior": _NAME,
-    "effects": (lambda value: _is_name(value) or _is_list_of(_is_name)(value), "the names of files"),
-    "coefficients": (
+    shared.Bench: BENCH,
+    shared.Effects: (_is_name_or_names, "the names of files"),
+    str | Path | Calibrated: (
         lambda value: hasattr(value, "calibration") or _is_name(value),
         "the result of a calibration, or its file",
     ),
-    "runs": _NAME,
-    "name": _WORD,
-    "folder": _NAME,
-    "baseline": _COUNT,
-    "arl": _NUMBER,
-    "smoothing": _NUMBER,
-    "limits": _WORD,
-    "real": _FLAG,
-    "estimator": _WORD,
-    "rule": _WORD,
-    "g": _NUMBER,
-    "limit": _NUMBER,
-    "guard_band": _NUMBER,
-    "population": (_is_pair, "a pair of numbers, mean and standard deviation"),
-    "seed": _COUNT,
-    "trials": _COUNT,
-    "expires": (lambda value: isinstance(value, date), "a date (datetime.date)"),
-    "nominal_angles": _FLAG,
-    "join_free": _FLAG,
-    "join_verification": _FLAG,
-    "skip_bad_rows": _FLAG,
-    "same_voltmeters": _FLAG,
-    "by_installation": _FLAG,
-    "one_block": _FLAG,
-    "accept_first": _FLAG,
-    "report": _FLAG,
-    "write": _FLAG,
-    "out": _NAME,
-}
-"""The accepted kind of each parameter of a public function, in code and in words; None if it is the default."""
+    str | Path | Sequence[str | Path]: (
+        _is_name_or_names, "runs by name or path, or the folder in which they are",
+    ),
+    str | Path: NAME,
+    str: (_is_name, "a word"),
+    Sequence[str]: (_is_list_of(_is_name), "a list of words"),
+    bool: FLAG,
+    float: (_is_number, "a number"),
+    int: (_is_count, "a whole number, 0 or more"),
+    tuple[float, float]: (_is_pair, "a pair of numbers, mean and standard deviation"),
+    date | str: (lambda value: isinstance(value, date), "a date (datetime.date)"),
+}  # fmt: skip
+"""The accepted kind of an argument by the type of its request's field."""
 
 
-def checked(**others: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that refuses arguments of another kind than `KINDS` or `others` (this function's) state.
+def kinds_of(request: type) -> dict[str, Kind]:
+    """Return the kind of each parameter of a call that makes a request; None is taken where it is the default."""
+    told, hints = {}, get_type_hints(request)
+    for name in inspect.signature(request).parameters:
+        hint = hints[name]
+        parts = [one for one in get_args(hint) if one is not NoneType]
+        optional = get_origin(hint) in {Union, UnionType} and len(parts) < len(get_args(hint))
+        told[name] = KINDS[Union[tuple(parts)] if optional else hint]  # noqa: UP007 - of a tuple
+    return told
+
+
+def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Return a decorator that refuses arguments of another kind than stated for them; None where it is the default.
 
     The decorated function also raises `Refused` where the file system reports an error.
     """
@@ -141,7 +136,7 @@ def checked(**others: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
             for name, value in signature.bind(*args, **kwargs).arguments.items():
-                is_one, words = {**KINDS, **others}[name]
+                is_one, words = kinds[name]
                 default = signature.parameters[name].default
                 if not is_one(value) and not (value is None and default is None):
                     shown = visible(shortened(repr(value)))
@@ -156,13 +151,10 @@ def checked(**others: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return decorated
 
 
-def python_call(
-    request: Callable[P, Asked], act: Callable[[Asked], R], name: str = "", **others: Kind
-) -> Callable[P, R]:
+def python_call(request: Callable[P, Asked], act: Callable[[Asked], R], name: str = "") -> Callable[P, R]:
     """Return the public Python function that carries out a request: its parameters are the request's fields.
 
     The function is called `name`, or else as `act` without the underscore, and has the docstring of `act`.
-    `others` are kinds of arguments that replace the kinds in `KINDS`.
     """
 
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -173,14 +165,4 @@ def python_call(
     fields = inspect.signature(request).parameters.values()
     signature = inspect.Signature([one.replace(annotation=inspect.Parameter.empty) for one in fields])
     call.__signature__ = signature  # type: ignore[attr-defined]
-    return checked(**others)(call)
-
-
-DIAGNOSED: Final[Kind] = (
-    lambda value: _is_source(value) or _SOURCES[0](value),
-    f"{_A_SOURCE}, or a list of them",
-)
-CHARTED: Final[Kind] = (
-    lambda value: _is_name(value) or _is_list_of(_is_name)(value),
-    "runs by name or path, or the folder in which they are",
-)
+    return checked(**kinds_of(cast(type, request)))(call)

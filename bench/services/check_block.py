@@ -25,7 +25,7 @@ from bench.model.geometry import COEFFICIENTS
 from bench.results.control_chart import CheckBlockChart
 from bench.run.events import MANIFEST, CheckedBefore, Manifest, RecordError, RunState, UnitUnderTest, sha256
 from bench.run.folder import BENCH, Run, all_runs, find_run
-from bench.services.arguments import CHARTED, python_call
+from bench.services.arguments import python_call
 from bench.services.bench_selection import find_bench_file, own_bench
 from bench.services.calibration import CalibrationResult, calibration_of
 from bench.services.coefficients import coefficients_of
@@ -398,7 +398,7 @@ def charted(request: Chart) -> CheckBlockChart:
     return chart_of(runs, _with_options(section, request), of_bench=path, folder=folder)
 
 
-chart = python_call(Chart, charted, "chart", runs=CHARTED)
+chart = python_call(Chart, charted, "chart")
 
 
 def _bench_file(bench: str | None, run: Run) -> tuple[BenchFile, Path]:

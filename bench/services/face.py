@@ -21,7 +21,7 @@ from rich.console import Console
 from bench.config.bench_file.file import BenchFile
 from bench.readings.csv import read_csv, read_frame
 from bench.readings.table import Readings
-from bench.services.arguments import DIAGNOSED, checked, python_call
+from bench.services.arguments import BENCH, FLAG, NAME, SOURCE, checked, python_call
 from bench.services.bench_selection import bench_of, find_bench_file, origin_beside
 from bench.services.bodies import single_bodies, whole_body
 from bench.services.calibration import (
@@ -54,13 +54,13 @@ if TYPE_CHECKING:
     """Files with effects of the user's own, as formulas."""
 
 
-@checked()
+@checked(bench=NAME)
 def load_bench(bench: str | Path) -> BenchFile:
     """Read a bench file, by path or shipped name; numbers in SI, angles in rad. Raises `FileMistakes`."""
     return find_bench_file(str(bench)).file
 
 
-@checked()
+@checked(readings=SOURCE, bench=BENCH, skip_bad_rows=FLAG)
 def read_readings(
     readings: str | Path | pd.DataFrame, *, bench: Bench = None, skip_bad_rows: bool = False
 ) -> Readings:
@@ -134,8 +134,8 @@ def _diagnose_each(request: Diagnose) -> list[Diagnosed | Failed]:
     return diagnosed(request, single_bodies(request))
 
 
-diagnose = python_call(Diagnose, _diagnose, source=DIAGNOSED)
-diagnose_each = python_call(Diagnose, _diagnose_each, source=DIAGNOSED)
+diagnose = python_call(Diagnose, _diagnose)
+diagnose_each = python_call(Diagnose, _diagnose_each)
 
 
 def _confirm(request: Confirm) -> ConfirmationResult:

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 import bench
-from bench.services.arguments import KINDS
+from bench.services.arguments import kinds_of
+from bench.services.requests.history import Learn
+from bench.services.requests.measuring import DryRunRequest
 
 READINGS = str(Path(__file__).parents[1] / "data" / "records" / "readings.csv")
 FUNCTIONS = {
@@ -69,12 +71,13 @@ def test_what_is_wrong_is_named(call, says):
         call()
 
 
-def test_what_fits_is_passed_on(monkeypatch):
+def test_what_fits_is_passed_on():
     """Numbers of numpy are numbers, and a date of datetime is one."""
-    assert KINDS["g"][0](np.float64(9.81))
-    assert KINDS["seed"][0](np.int64(3))
-    assert KINDS["expires"][0](date(2030, 1, 1))
-    assert KINDS["bench"][0](Path("paper-stand"))
+    kinds = {**kinds_of(DryRunRequest), **kinds_of(Learn)}
+    assert kinds["g"][0](np.float64(9.81))
+    assert kinds["seed"][0](np.int64(3))
+    assert kinds["expires"][0](date(2030, 1, 1))
+    assert kinds["bench"][0](Path("paper-stand"))
 
 
 def test_what_the_file_system_refuses_is_a_sentence():

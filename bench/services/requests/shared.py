@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from bench.base.requests import Option
 
@@ -25,7 +25,17 @@ if TYPE_CHECKING:
     Effects: TypeAlias = str | Path | Sequence[str | Path] | None
     """Files with effects of the user's own, as formulas."""
 else:
-    Data = Bench = Effects = Any  # the command line reads names
+    # names on the command line; by them `bench.services.arguments` knows what an argument must be
+
+    class Data:
+        """Readings, by name or in memory."""
+
+    class Bench:
+        """A bench file, by name or at hand."""
+
+    class Effects:
+        """Files with effects."""
+
 
 BenchField = Annotated[
     Bench,
