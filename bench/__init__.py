@@ -43,8 +43,12 @@ if TYPE_CHECKING:
     from bench.services.face import load_bench as load_bench
     from bench.services.face import read_readings as read_readings
     from bench.services.face import verify as verify
+    from bench.services.history import ComparisonResult as ComparisonResult
     from bench.services.history import LearningResult as LearningResult
+    from bench.services.history import RecordAtRest as RecordAtRest
+    from bench.services.history import compare as compare
     from bench.services.history import learn as learn
+    from bench.services.history import stability as stability
     from bench.services.planning import budget as budget
     from bench.services.verification import VerificationResult as VerificationResult
 
@@ -62,7 +66,9 @@ _HOMES: Final = {
         "DryRun", "calibrate", "confirm", "diagnose", "diagnose_each", "dry_run", "load_bench",
         "read_readings", "verify",
     ),
-    "bench.services.history": ("LearningResult", "learn"),
+    "bench.services.history": (
+        "ComparisonResult", "LearningResult", "RecordAtRest", "compare", "learn", "stability",
+    ),
     "bench.services.verification": ("VerificationResult",),
     "bench.base.yaml_files": ("FileMistakes",),
     "bench.config.bench_file.file": ("BenchFile",),

@@ -40,9 +40,9 @@ from bench.history.run_sums import run_fit
 from bench.history.stability import Stability, StaticRecord, from_columns, read_static, stability_of
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.effects import Subsystem
-from bench.results.compare import BenchOfSource, CompareResult, compare_result, history_figure
+from bench.results.compare import BenchOfSource, CompareResult, compare_result, history_figure, print_compare
 from bench.results.learning import LearnResult, RecordPart, learn_result, print_learned
-from bench.results.stability import StabilityResult, allan_figure, stability_result
+from bench.results.stability import StabilityResult, allan_figure, print_stability, stability_result
 from bench.run.events import MANIFEST
 from bench.run.folder import BENCH, Run, find_run
 from bench.services.arguments import python_call
@@ -403,6 +403,14 @@ class ComparisonResult:
         bench = [BenchOfSource(source=name, **taken.part().to_dict()) for name, taken in self.taken]
         return compare_result(self.found, bench)
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `bench compare --json` writes it."""
+        return self.result.to_dict()
+
+    def __repr__(self) -> str:
+        """Return what `bench compare` prints."""
+        return as_text(lambda out: print_compare(self.result, out))
+
     def files(self, folder: Path) -> Files:
         """Yield what `bench compare --out` writes."""
         yield "result", folder / "compare.json", to_text(self.result.to_dict())
@@ -419,6 +427,9 @@ def compared(request: asked.Compare) -> ComparisonResult:
     if request.date:
         snapshots = _dated(snapshots, request.date)
     return ComparisonResult(compare_snapshots(snapshots), tuple(taken))
+
+
+compare = python_call(asked.Compare, compared, "compare")
 
 
 def _snapshots(name: str, request: asked.Compare, taken: list[tuple[str, BenchTaken]]) -> list[Snapshot]:
@@ -466,6 +477,14 @@ class RecordAtRest:
         """The result as `bench stability --json` writes it."""
         return stability_result(self.found, self.taken.part())
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `bench stability --json` writes it."""
+        return self.result.to_dict()
+
+    def __repr__(self) -> str:
+        """Return what `bench stability` prints."""
+        return as_text(lambda out: print_stability(self.found, out))
+
     def files(self, out: Path | None) -> Files:
         """Yield the files to write into `out`, or beside the record."""
         path = Path(self.found.record.source)
@@ -499,6 +518,9 @@ def at_rest(request: asked.Stability) -> RecordAtRest:
         record, integration_s, size, bench.line_frequency, bench.nplc_supported, bench.most_samples
     )
     return RecordAtRest(found, taken, notes, run)
+
+
+stability = python_call(asked.Stability, at_rest, "stability")
 
 
 def _bench_of(record: str, runs: Path, bench: Bench) -> tuple[BenchTaken, tuple[str, ...]]:
