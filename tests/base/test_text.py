@@ -18,20 +18,7 @@ from bench.base.files import from_text, read_given, read_json, read_regular, to_
 from bench.base.tables import Screen, as_html, table
 from bench.base.text import in_json, visible
 
-ACTS = [
-    "\x1b[2J",
-    "\x07",
-    "\x00",
-    "\x7f",
-    "\x9b",
-    "\u202e",
-    "\u2066",
-    "\u2028",
-    "\ufeff",
-    "\ud800",
-    "\r",
-    "\U000e0041",
-]
+ACTS = ["\x1b[2J", *"\x07\x00\x7f\x9b\u202e\u2066\u2028\ufeff\ud800\r\U000e0041"]
 
 
 @pytest.mark.parametrize("text", ACTS)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from drivers.instruments.manual import ManualChamber, ManualHead, ManualLevel
+from drivers.instruments.manual import ManualChamber, ManualHead, ManualLevel, ManualThermometer
 from drivers.instruments.manual_supply import ManualSupply
 from drivers.interfaces import (
     BadReading,
@@ -224,6 +224,14 @@ def test_no_plausible_temperature_is_a_bad_reading() -> None:
     c, _ = chamber(*["200"] * 5)
     with pytest.raises(BadReading, match="no plausible temperature"):
         c.temperature("k")
+
+
+def test_a_temperature_that_the_thermometer_cannot_show_is_asked_again() -> None:
+    person = Script(["-", "999", "23,4 °C", *["hot"] * 5])
+    thermometer = ManualThermometer("thermometer", person, minimum_c=-50.0, maximum_c=120.0, sensor="glass")
+    assert thermometer.block_c("1/mount") == 23.4
+    with pytest.raises(BadReading, match="within its range"):
+        thermometer.block_c("1/mount")
 
 
 def test_chamber_is_a_thermal_chamber() -> None:

@@ -14,7 +14,7 @@ from bench.run.record import Record, read_history
 from bench.run.runner import RunAborted
 from drivers.interfaces import BenchError
 from tests.support.composed_bench import edited
-from tests.support.runner_bench import runner_of
+from tests.support.runner_bench import Wishing, runner_of
 
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
 STEPS = (
@@ -24,23 +24,6 @@ STEPS = (
     Read("4/read", "1", 1, 1, 1, 0.5, 1, 2, 1.0),
     Turn("5/turn", "1", 1, 1, 2, 1.0, 1),
 )
-
-
-class Trouble:
-    """Raises, or wishes, when the runner listens for the fourth time: the head has turned, a reading is due."""
-
-    def __init__(self, what):
-        self.what = what
-        self.times = 0
-        self.stopped = None
-
-    def poll(self):
-        self.times += 1
-        if self.times != 4 or self.what is None:
-            return None
-        if isinstance(self.what, RunControl):
-            return self.what
-        raise self.what
 
 
 @pytest.mark.parametrize(
@@ -67,7 +50,7 @@ def test_every_way_out_leaves_the_bench_safe(tmp_path, monkeypatch, trouble, sta
             record,
             range_v=bench.voltmeter_range_v,
             observers=assembly.observers,
-            controls=Trouble(trouble),
+            controls=Wishing(trouble, 4),
         )
         with contextlib.suppress(KeyboardInterrupt, BenchError, RunAborted):
             runner.run()

@@ -16,26 +16,11 @@ from drivers.interfaces import BenchError, OutputSettings
 from drivers.person import Answer
 from sim.world.clock import VirtualClock
 from tests.support.fed_runs import Supply, fed_runner, found_on
-from tests.support.runner_bench import NOON, PLAN, READS, STOP, Bench, Meter, new_record, recorded
+from tests.support.runner_bench import NOON, PLAN, READS, STOP, Bench, Meter, Wishing, new_record, recorded
 
 ON = [("P25V", True), ("N25V", True)]
 OFF = [("N25V", False), ("P25V", False)]
 FIRST_READ = next(index for index, step in enumerate(PLAN.steps) if isinstance(step, Read))
-
-
-class Wishing:
-    """Wishes once, or raises, when the runner listens for the n-th time."""
-
-    def __init__(self, what, at=1):
-        self.what, self.left, self.stopped = what, at, None
-
-    def poll(self):
-        self.left -= 1
-        if self.left:
-            return None
-        if isinstance(self.what, RunControl):
-            return self.what
-        raise self.what
 
 
 def switched(supply):

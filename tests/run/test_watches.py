@@ -21,9 +21,7 @@ from bench.run.listening import ClockWatch
 from bench.run.samples import SLOW_AFTER_S, ChamberWatch
 from bench.run.sentences import sentence
 from drivers.instruments.keysight_34970a import Keysight34970AThermometer
-from drivers.instruments.manual import ManualThermometer
-from drivers.interfaces import BadReading, InstrumentLost, LimitExceeded
-from drivers.person import Answer
+from drivers.interfaces import InstrumentLost, LimitExceeded
 from sim.world.clock import VirtualClock
 from tests.run.test_way_out import Chamber, with_chamber
 from tests.support.runner_bench import READS, Bench, changed, make_runner, new_record, recorded
@@ -195,18 +193,3 @@ def test_its_size_is_that_of_its_kind_or_certificate_with_the_gradient(tmp_path)
     assert not known.prior
     assert corrections_of(file).thermometer == ((20.0, 0.15),)
     assert thermometer_size(load_bench(find_bench("bench-multiplexer"))) is None
-
-
-def test_a_person_is_asked_again_for_what_the_thermometer_cannot_show():
-    class Answers:
-        def __init__(self, *texts):
-            self.texts = list(texts)
-
-        def ask(self, prompt):
-            return Answer(prompt.id, self.texts.pop(0))
-
-    person = Answers("-", "999", "23,4 °C", *["hot"] * 5)
-    thermometer = ManualThermometer("thermometer", person, minimum_c=-50.0, maximum_c=120.0, sensor="glass")
-    assert thermometer.block_c("1/mount") == 23.4
-    with pytest.raises(BadReading, match="within its range"):
-        thermometer.block_c("1/mount")

@@ -10,6 +10,7 @@ from bench.base.arrays import CHANNELS
 from bench.config.procedure.plan import Ask, Mount, OnFailure, Plan, Read, Step, Turn, Wait
 from bench.run.events import EventType
 from bench.run.instruments import Instruments
+from bench.run.person import RunControl
 from bench.run.record import History, Record, read_history
 from bench.run.runner import People, Recorder, Runner
 from bench.run.workbench import BenchSetup
@@ -89,6 +90,21 @@ class Person:
             prompt.id,
             prompt.default or {"choose": prompt.choices[:1], "confirm": ("yes",)}.get(prompt.kind, ("7",))[0],
         )
+
+
+class Wishing:
+    """Wishes once, or raises, when the runner listens for the n-th time; None does neither."""
+
+    def __init__(self, what: RunControl | BaseException | None, at: int = 1) -> None:
+        self.what, self.left, self.stopped = what, at, None
+
+    def poll(self) -> RunControl | None:
+        self.left -= 1
+        if self.left:
+            return None
+        if isinstance(self.what, BaseException):
+            raise self.what
+        return self.what
 
 
 STOP = OnFailure(repeats=0, then="stop")

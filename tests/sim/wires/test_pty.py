@@ -65,15 +65,6 @@ def open_descriptors() -> int:
     return len(list(Path("/dev/fd").iterdir()))
 
 
-def test_replies_end_in_cr_lf_on_the_terminal_and_in_lf_on_tcp() -> None:
-    with one_meter() as (bench, path), Client(path) as client:
-        assert client.ask(b"*IDN?\n") == IDENTITY + b"\r\n"
-        assert client.ask(b"*IDN?\r\n") == IDENTITY + b"\r\n"
-        with socket.create_connection(("127.0.0.1", bench.servers["v"].port)) as tcp:
-            tcp.sendall(b"*IDN?\r\n")
-            assert tcp.makefile("rb").readline() == IDENTITY + b"\n"
-
-
 def test_it_survives_clients_that_leave() -> None:
     with one_meter() as (_, path):
         for leaving in (b"", b"VOLT:NPLC 1;*OPC?\n", b"VOLT:RA"):

@@ -18,7 +18,7 @@ from sim.bench import SimulatedBench, SimulatedMeter
 from sim.keithley_2000 import Keithley2000
 from sim.wires.faults import Fault, FaultKind
 from sim.wires.server import TERMINALS, TcpServer
-from sim.wires.session import DROP, REFUSE, SILENCE, Framer, LineEnds, Overflow, WireFault
+from sim.wires.session import REFUSE, Framer, LineEnds, Overflow, WireFault
 from sim.world.clock import ScaledClock, VirtualClock
 from sim.world.world import World, WorldSettings
 from tests.support.patience import PATIENCE_S
@@ -217,37 +217,6 @@ def on_reading(
     fault: Callable[[bytes | None], WireFault],
 ) -> Callable[[bytes, bytes | None], WireFault | None]:
     return lambda request, reply: fault(reply) if request == b"READ?" else None
-
-
-def test_a_reply_cut_short() -> None:
-    with one_meter(on_reading(lambda reply: WireFault.cut(reply, 6)), tolerance_s=0.2) as (_, client):
-        client.write(b"READ?\n")
-        assert client.socket.recv(100) == b"+9.100"
-        assert client.ask(b"*IDN?\n") == IDENTITY
-
-
-def test_a_reply_garbled() -> None:
-    with one_meter(on_reading(WireFault.garble)) as (_, client):
-        reply = client.ask(b"READ?\n")
-        assert len(reply) == 16
-        assert reply.endswith(b"\n")
-        assert not any(character in b"0123456789+-." for character in reply[:-1])
-
-
-def test_silence() -> None:
-    with one_meter(on_reading(lambda _: SILENCE), tolerance_s=0.2) as (server, client):
-        client.write(b"READ?\n")
-        with pytest.raises(TimeoutError):
-            client.socket.recv(100)
-        with Client(server.port) as other:
-            assert other.ask(b"*IDN?\n") == IDENTITY
-
-
-def test_a_dropped_connection_can_be_made_again() -> None:
-    with one_meter(on_reading(lambda _: DROP)) as (server, client):
-        assert client.ask(b"READ?\n") == b""
-        with Client(server.port) as again:
-            assert again.ask(b"*IDN?\n") == IDENTITY
 
 
 def test_refusal_lasts_until_the_server_accepts_again() -> None:

@@ -7,9 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from sim.world.clock import VirtualClock
 from sim.world.pose import HeadFault
-from sim.world.world import Heat, World, WorldSettings
+from sim.world.world import Heat, World
 from tests.support.simulated_stand import a_world
 
 DEG = math.pi / 180
@@ -184,14 +183,3 @@ def test_a_disturbed_chamber_goes_out_of_band_and_comes_back() -> None:
     world.disturb_chamber(0.0)
     world.clock.sleep(3600.0)
     assert world.chamber_c == pytest.approx(40.0)
-
-
-def test_rate_and_lag_are_the_settings() -> None:
-    quick = a_world().settings
-    settings = WorldSettings(
-        quick.block, quick.model, {}, 1, ambient_c=20.0, chamber_rate_c_s=1.0, chamber_lag_s=1e-3
-    )
-    world = World(settings, VirtualClock())
-    world.ramp_chamber(10.0)
-    world.clock.sleep(4.0)
-    assert world.chamber_c == pytest.approx(16.0, abs=0.01)

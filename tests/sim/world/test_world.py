@@ -177,34 +177,6 @@ def test_effects_see_time_since_the_beginning_and_the_temperature_of_the_block()
     assert world.signal_v("y", 1100.0) == pytest.approx(100.0)
 
 
-def test_block_follows_the_chamber_with_its_time_constant() -> None:
-    clock = VirtualClock()
-    world = a_world(clock=clock)
-    assert (world.chamber_c, world.block_c) == (23.0, 23.0)
-    world.set_chamber(73.0)
-    assert (world.chamber_c, world.block_c) == (73.0, 23.0)
-    clock.sleep(750.0)
-    assert world.block_c == pytest.approx(73.0 - 50.0 * math.exp(-1))
-    halfway_c = world.block_c
-    world.set_chamber(23.0)
-    assert world.block_c == pytest.approx(halfway_c)
-    clock.sleep(1500.0)
-    assert world.block_c == pytest.approx(23.0 + (halfway_c - 23.0) * math.exp(-2))
-    assert world.block_c_at(0.0) == 23.0
-
-
-def test_a_late_question_is_answered_with_the_pose_of_that_time() -> None:
-    clock = VirtualClock()
-    world = a_world(clock=clock)
-    clock.sleep(10.0)
-    world.turn(1.0, 1)
-    before = world.signal_v("x")
-    clock.sleep(10.0)
-    world.turn(2.0, 1)
-    assert world.signal_v("x", 15.0) == before
-    assert world.signal_v("x") != before
-
-
 def test_unknown_names_are_refused() -> None:
     with pytest.raises(KeyError, match="no installation '3'"):
         a_world().mount("3")
