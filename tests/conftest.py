@@ -44,19 +44,19 @@ def pytest_configure() -> None:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Set the watch for a hang, and say whether this test and its fixtures draw figures.
 
-    Where a test works by commands, the figures of pages are left empty: they cost more than all else. Tests marked
-    `figures` draw them. To set the watch for each test would cost more than most tests do.
+    The figures of pages are left empty: they cost more than all else. Tests marked `figures` draw them, and those
+    of the room of results, whose subject they are.
+    To set the watch for each test would cost more than most tests do.
     """
     if time.monotonic() - Session.watched_s > HANGS_S / 10.0:
         Session.watched_s = time.monotonic()
         faulthandler.dump_traceback_later(HANGS_S, file=Session.stderr)
-    empty = "bench" in getattr(item, "fixturenames", ()) and item.get_closest_marker("figures") is None
-    if empty or Session.draw is not None:
-        from bench.results import plots
+    from bench.results import plots
 
-        # beneath what other modules import by name: one imported now would keep the empty one for ever
-        Session.draw = Session.draw or plots._written
-        plots._written = (lambda name, inches, draw: EMPTY_FIGURE) if empty else Session.draw
+    # beneath what other modules import by name: one imported now would keep the empty one for ever
+    Session.draw = Session.draw or plots._written
+    drawn = item.get_closest_marker("figures") is not None or item.path.parent.name == "results"
+    plots._written = Session.draw if drawn else (lambda name, inches, draw: EMPTY_FIGURE)
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -176,11 +176,11 @@ def test_a_batch_that_stops_leaves_no_process(runs, pools):
 
 @pytest.fixture(scope="module")
 def workers():
-    """A scheduler on loopback with two workers, processes of their own."""
+    """A scheduler on loopback with a worker that is a process of its own, and is begun anew when it ends."""
     from distributed import LocalCluster
 
     with LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
+        n_workers=1, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
     ) as made:
         yield made
 

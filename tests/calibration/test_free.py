@@ -16,6 +16,7 @@ from bench.model import CATALOGUE, AppliedEffect, Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import read_csv
 from bench.readings.table import make_readings
+from tests.support.commands import printed
 from tests.support.honest_runs import (
     MODEL,
     ROLL_U,
@@ -159,19 +160,16 @@ def test_too_few_or_alike_positions_are_refused():
 
 @pytest.mark.slow
 def test_command_line_with_counts(bench):
-    status, out, err = bench(
-        "calibrate", DATA / "xsens-38.csv", "--g", 9.81744, "--json", "-", "--out", "here"
+    result = json.loads(
+        printed(bench("calibrate", DATA / "xsens-38.csv", "--g", 9.81744, "--json", "-", "--out", "here"))
     )
-    assert status == 0, err
-    result = json.loads(out)
     assert (result["unit"], result["per"], result["g_m_s2"]) == ("counts", "g", 9.81744)
     assert result["triangular"]["scale_ms2_per_unit"]["value"][0] == pytest.approx(0.0024130183, rel=1e-5)
     assert result["free_positions"]["rms_g"] == pytest.approx(100e-6, rel=0.01)
     Kxx, per_ms2 = result["coefficients"]["Kxx"], result["coefficients_per_ms2"]["Kxx"]
     assert per_ms2["value"] * 9.81744 == pytest.approx(Kxx["value"], rel=1e-12)
     assert result["coefficients_per_ms2"]["unit"] == "counts/(m/s^2)"
-    status, out, err = bench("calibrate", DATA / "innalabs-49.csv", "--estimator", "robust", "--out", "here")
-    assert status == 0, err
+    out = printed(bench("calibrate", DATA / "innalabs-49.csv", "--estimator", "robust", "--out", "here"))
     assert out.count("outlier: ") == 2
     assert "point 22" in out
     assert bench("report", DATA / "innalabs-49.csv", "--out", "here")[0] == 0

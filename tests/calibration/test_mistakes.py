@@ -18,7 +18,6 @@ from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.diagnosis.mistakes.search import find_mistakes
 from bench.model import ForwardModel, Installation
-from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.planning.requirements import MOST_MOUNTINGS, Cost, fitted, outlook, settings_of
 from bench.readings.csv import read_csv, write_csv
 from bench.readings.table import make_readings, stacked
@@ -197,7 +196,6 @@ def test_least_squares_weighs_all_alike_and_is_honest():
 
 
 SHEET = (-2.18, -2.14, -2.14)
-MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,8 @@ from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.model import ForwardModel
 from bench.model.conditions import Conditions
-from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
+from tests.support.honest_runs import MODEL
 from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, specific_force
 from tests.support.tumble_bench import Terms, design, truth, tumble
 from tests.support.whole_truth import GAIN, LINEARITY_V, OFFSET_V
@@ -105,7 +105,6 @@ def test_the_last_square_is_a_bias_less_the_others():
 # --- the estimates --------------------------------------------------------------------------------
 
 
-MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 G = 9.81
 KNOWN = Terms(np.array([20, -30, 10]) * 1e-6, np.array([10, 5, -20]) * 1e-6, np.array([-15, 25, 8]) * 1e-6)
 

@@ -8,10 +8,10 @@ from scipy import stats
 
 from bench.calibration import CalibrationError, calibrate, verify
 from bench.calibration.conformity import Population, global_risk
-from bench.model import Block, ForwardModel
-from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.model import Block
 from bench.readings.table import make_readings
 from bench.results.verification import advice, global_risk_in_words, verdict_line
+from tests.support.honest_runs import MODEL
 from tests.support.paper_bench import STAND_U, TRUTH, U0, K, simulate, specific_force
 from tests.support.results import verification_json
 
@@ -82,8 +82,7 @@ def test_one_point_beyond_the_limit_is_enough():
 
 def test_uncertainty_by_monte_carlo():
     """4000 draws of coefficients from the covariance of a calibration and of the voltmeter's noise."""
-    model = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
-    calibration = calibrate(simulate(np.random.default_rng(3), 1e-4), model, STAND_U, 9.81)
+    calibration = calibrate(simulate(np.random.default_rng(3), 1e-4), MODEL, STAND_U, 9.81)
     rng = np.random.default_rng(4)
     draws = rng.multivariate_normal(TRUTH, calibration.covariance, 4000)
     exact = turned().signal
@@ -99,8 +98,7 @@ def test_uncertainty_by_monte_carlo():
 
 def test_a_calibrated_block_passes():
     """Calibrated from simulated readings, checked at the verification points: well within 3e-4 g."""
-    model = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
-    calibration = calibrate(simulate(np.random.default_rng(5), 1e-4), model, STAND_U, 9.81)
+    calibration = calibrate(simulate(np.random.default_rng(5), 1e-4), MODEL, STAND_U, 9.81)
     result = verify(turned(), calibration.block, calibration.covariance, 1e-4, 3e-4)
     assert result.passed
     assert all(abs(p.delta_g) < 4 * p.u for p in result.points)
@@ -131,8 +129,7 @@ def test_result_as_promised():
 
 @pytest.fixture(scope="module")
 def covariance():
-    model = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
-    return calibrate(simulate(np.random.default_rng(3), 1e-4), model, STAND_U, 9.81).covariance
+    return calibrate(simulate(np.random.default_rng(3), 1e-4), MODEL, STAND_U, 9.81).covariance
 
 
 def drawn_errors(covariance, noise, draws=20_000):

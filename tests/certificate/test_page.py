@@ -18,6 +18,7 @@ from bench.services.errors import Refused
 from tests.support.certificates import ORDER, copy_run, write_files
 from tests.support.signed import NOW, a_signatory
 
+pytestmark = pytest.mark.figures
 DCC = b'<?xml version="1.0"?>\n<certificate \xc2\xb5="1"/>\n'
 NUMBER = "SIM-2026-0007"
 NASTY = '#read("/etc/passwd") $x$ [a] *b* _c_ \\ @d <e> `f` "g" ~ // ґ µ\x1b[31m\u202e'

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding
 
-from bench.certificate import proof
 from bench.certificate.dcc.document import document_of
 from bench.certificate.page import body_of
 from bench.certificate.register import ISSUED, REVOKED, Entry, opened
@@ -18,17 +17,7 @@ from bench.services.errors import Refused
 from tests.support.certificates import RECORDED
 from tests.support.signed import NOW, a_signatory, authority
 
-SVG = '<svg viewBox="0 0 2 1"><path d="M0 0L2 1" stroke="black"/></svg>'
 OTHER = "Somebody else"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def without_figures():
-    """Leave the figures out: they take most of the time."""
-    with pytest.MonkeyPatch.context() as patch:
-        for name in ("residuals_by_angle", "verification_points"):
-            patch.setattr(proof, name, lambda _: SVG)
-        yield
 
 
 @dataclass

@@ -16,9 +16,10 @@ from bench.run.folder import Run
 from bench.run.listening import Asker
 from bench.run.person import LeftAnswer, RunControl, WishAuthor, leave_answer, leave_wish
 from bench.services.execution import accept_changes
-from benchmarks.answering_campaign import Hands, amiss, answer_to, one
+from benchmarks.answering_campaign import PROCEDURE, Hands, amiss, answer_to, one
 from benchmarks.kill_campaign import differences
 from drivers.interfaces import BenchError
+from tests.support.commands import printed
 from tests.support.schemas import keeps_to
 
 POINTS = """\
@@ -155,18 +156,16 @@ def test_show_and_log_tell_who_answered_what(points, bench):
     points("one", *RUN, "--name", "one", "--answers", "folder")
     for line in Path("runs/one/events.jsonl").read_text(encoding="utf-8").splitlines():
         keeps_to("event", json.loads(line))
-    status, out, _ = bench("show", "one")
-    assert status == 0
-    assert "asked: Which cable is it?" in out
-    assert "answered in the panel by Ann: long" in out
+    printed(bench("show", "one"), "asked: Which cable is it?", "answered in the panel by Ann: long")
     assert "answered in the panel by Ann: long" in Path("runs/one/run.log").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
-def test_answers_from_two_places_and_kills_change_nothing(tmp_path):
+def test_answers_from_two_places_and_a_kill_change_nothing(points, tmp_path):
     """One run; `benchmarks.answering_campaign` carries out many."""
-    expected, _ = one(0, tmp_path, seed=5, kills=0, calm=True)
-    run, done = one(1, tmp_path, seed=5, kills=2)
-    assert done["killed"] == 2
+    calm = ("run", PROCEDURE, "--dry-run", "--seed", "7", "--answers", "folder")
+    expected, _ = points("calm", *calm, "--name", "calm")
+    run, done = one(1, tmp_path, seed=5, kills=1)
+    assert done["killed"] == 1
     assert differences(run, expected) == []
     assert amiss(run) == []

@@ -1,10 +1,10 @@
-"""The commands as their user types them, in an empty folder."""
+"""The commands as their user types them, in an empty folder; one source of several that fails."""
+
+from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import pytest
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import read_csv, write_csv
 from bench.run.folder import Run
+from tests.support.commands import printed, refused
 from tests.support.procedure_texts import TWO_INSTALLATIONS
 from tests.support.schemas import keeps_to
 
@@ -42,14 +43,6 @@ def edited_stand(**changes):
         text = text.replace(old, new)
     Path("stand.yaml").write_text(text, encoding="utf-8")
     return "stand.yaml"
-
-
-def one_line(err):
-    """The promise for every failure: one clear line, no traceback."""
-    assert "Traceback" not in err
-    lines = [line for line in err.splitlines() if not line.startswith("note:")]
-    assert len(lines) == 1, err
-    return lines[0]
 
 
 @pytest.mark.slow
@@ -93,23 +86,19 @@ def test_error_free_both_estimators_return_the_paper_over_the_wire(bench):
     stand = edited_stand(**SILENT_STAND)
     assert bench("run", "paper", "--dry-run", "--bench", stand, "--name", "exact")[0] == 0
     for estimator in ("gls", "closed-form"):
-        status, out, _ = bench("calibrate", "exact", "--estimator", estimator, "--json", "-")
-        assert status == 0
+        out = printed(bench("calibrate", "exact", "--estimator", estimator, "--json", "-"))
         found = [json.loads(out)["coefficients"][name]["value"] for name in COEFFICIENTS]
         assert np.max(np.abs(np.array(found) - PAPER)) < 5e-9
 
 
 @pytest.mark.slow
-def test_an_altered_scale_factor_fails_the_verification(bench):
-    bench("run", "calibration", "--dry-run", "--name", "good")
-    coefficients = json.loads(Path("runs/good/calibrate.json").read_text())
+def test_an_altered_scale_factor_fails_the_verification(bench, paper_run):
+    coefficients = json.loads(Path("runs/run/calibrate.json").read_text())
     Path("same.json").write_text(json.dumps(coefficients))
-    assert bench("verify", "good", "--coefficients", "same.json")[0] == 0
+    assert bench("verify", "run", "--coefficients", "same.json")[0] == 0
     coefficients["coefficients"]["Kzz"]["value"] *= 1.001
     Path("altered.json").write_text(json.dumps(coefficients))
-    status, out, _ = bench("verify", "good", "--coefficients", "altered.json", "--json", "v.json")
-    assert status == 1
-    assert "FAILED" in out
+    printed(bench("verify", "run", "--coefficients", "altered.json", "--json", "v.json"), "FAILED", status=1)
     assert json.loads(Path("v.json").read_text())["passed"] is False
 
 
@@ -118,8 +107,7 @@ def test_a_run_exported_calibrates_to_the_same_numbers(bench, paper_run):
     assert bench("export", "run", "--csv", "readings.csv")[0] == 0
     results = []
     for source in ("run", "readings.csv"):
-        status, out, _ = bench("calibrate", source, "--json", "-")
-        assert status == 0
+        out = printed(bench("calibrate", source, "--json", "-"))
         results.append(json.loads(out))
     for name in COEFFICIENTS:
         ours, theirs = (r["coefficients"][name] for r in results)
@@ -127,8 +115,7 @@ def test_a_run_exported_calibrates_to_the_same_numbers(bench, paper_run):
         assert ours["u"] == pytest.approx(theirs["u"], rel=1e-5)
     assert Path("calibrate/readings.json").is_file()
     assert bench("import", "readings.csv", "--name", "by-hand")[0] == 0
-    status, out, _ = bench("calibrate", "by-hand", "readings.csv", "--json", "-")
-    both = json.loads(out)
+    both = json.loads(printed(bench("calibrate", "by-hand", "readings.csv", "--json", "-")))
     assert both[0]["coefficients"] == both[1]["coefficients"]
     assert bench("report", "by-hand")[0] == 0
     assert Path("runs/by-hand/report.html").is_file()
@@ -143,18 +130,12 @@ def test_runs_and_show_tell_what_there_is(bench):
     assert "events, chain of hashes whole\n" in bench("show", "one", "--verify")[1]
     events = Path("runs/one/events.jsonl")
     events.write_text(events.read_text().replace('"samples_taken": 5', '"samples_taken": 6', 1))
-    status, out, _ = bench("show", "one", "--verify")
-    assert status == 1
-    assert "the chain is broken" in out
-    status, _, err = bench("calibrate", "one")
-    assert status == 2
-    assert "cannot be trusted" in one_line(err)
+    printed(bench("show", "one", "--verify"), "the chain is broken", status=1)
+    refused(bench("calibrate", "one"), "cannot be trusted")
 
 
 def test_check_prints_the_steps_and_touches_nothing(bench):
-    status, out, _ = bench("check", "calibration")
-    assert status == 0
-    assert "installation 2, pass 2, point 9" in out
+    printed(bench("check", "calibration"), "installation 2, pass 2, point 9")
     assert list(Path().iterdir()) == []
     summary = json.loads(bench("check", "calibration", "--json", "-")[1])
     assert summary["counts"]["read"] == 58
@@ -209,10 +190,9 @@ def test_a_model_file_acts_in_the_simulation_and_in_the_fit(bench):
     ],
 )
 def test_every_mistake_is_one_clear_line(bench, arguments, says):
-    status, out, err = bench(*arguments)
-    assert status == 2
-    assert says in one_line(err)
-    assert out == ""
+    answer = bench(*arguments)
+    refused(answer, says)
+    assert answer[1] == ""
 
 
 @pytest.mark.slow
@@ -222,22 +202,21 @@ def test_a_bad_readings_file_lists_its_rows_and_computes_nothing(bench, paper_ru
     lines[3] = lines[3].replace(lines[3].split(",")[10], "9.9E37")
     lines[7] = lines[7].replace("1,1,", "1,Q,", 1)
     Path("bad.csv").write_text("\n".join(lines))
-    status, _, err = bench("calibrate", "bad.csv")
-    assert status == 2
-    assert "bad.csv, line 4, column ux_v: the voltmeter was overloaded" in err
-    assert "bad.csv, line 8, column installation" in err
+    refused(
+        bench("calibrate", "bad.csv"),
+        "bad.csv, line 4, column ux_v: the voltmeter was overloaded",
+        "bad.csv, line 8, column installation",
+        lines=3,
+    )
     assert not Path("calibrate/bad.json").exists()
-    status, out, _ = bench("calibrate", "bad.csv", "--skip-bad-rows", "--json", "-")
-    assert status == 0
+    out = printed(bench("calibrate", "bad.csv", "--skip-bad-rows", "--json", "-"))
     assert json.loads(out)["readings"] == {"used": 52, "skipped": 2}
 
 
 def test_one_installation_alone_is_named_not_solved(bench, paper_run):
     readings = Run(Path("runs/run")).readings()
     write_csv(readings.select(readings.installation == "1"), Path("half.csv"))
-    status, _, err = bench("calibrate", "half.csv")
-    assert status == 2
-    assert "Kxy, Kyy, Kzy" in one_line(err)
+    refused(bench("calibrate", "half.csv"), "Kxy, Kyy, Kzy")
     assert read_csv(Path("half.csv"), ["1"]).installation.tolist() == ["1"] * 27
 
 
@@ -274,16 +253,48 @@ def test_run_and_report_give_json_on_standard_output_alone(bench):
     keeps_to("report", told)
 
 
-@pytest.mark.slow
-def test_a_terminal_that_knows_few_characters_is_shown_escapes(empty_folder):
-    program = [sys.executable, "-c", "from bench.cli.program import main; main()", "check", "quick"]
-    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    done = subprocess.run(program, env=environment, capture_output=True, check=False)  # noqa: S603
-    assert (done.returncode, done.stderr) == (0, b"")
-    assert rb"\xb5V/g" in done.stdout
-
-
 def test_a_value_that_is_none_is_told_with_its_option(bench):
-    status, _, err = bench("verify", "x.csv", "--limit", "1e-5 g")
+    refused(bench("verify", "x.csv", "--limit", "1e-5 g"), "--limit")
+
+
+READINGS = Path(__file__).parents[1] / "data" / "records" / "readings.csv"
+
+
+@pytest.fixture
+def files(empty_folder):
+    names = ["a.csv", "bad.csv", "c.csv"]
+    for name in names:
+        shutil.copy(READINGS, name)
+    text = READINGS.read_text(encoding="utf-8")
+    Path("bad.csv").write_text(text.replace("installation,", "mounting,", 1), encoding="utf-8")
+    return names
+
+
+@pytest.mark.parametrize("command", ["calibrate", "verify", "diagnose"])
+@pytest.mark.slow
+def test_the_others_are_done_in_their_order(bench, files, command):
+    status, _, err = bench(command, *files, "none.csv", "--json", "all.json")
     assert status == 2
-    assert "--limit" in err
+    a, bad, c, none = json.loads(Path("all.json").read_text(encoding="utf-8"))
+    assert bad["source"] == "bad.csv"
+    assert "column installation is missing" in bad["problem"]
+    assert none == {"source": "none.csv", "problem": "none.csv: no such readings file; check the name"}
+    for one in (bad, none):
+        keeps_to("source-failed", one)
+    for one in (a, c):
+        keeps_to(command, one)
+    assert a.keys() == c.keys()
+    assert "problem" not in a
+    told = [line for line in err.splitlines() if line.startswith("bench: ")]
+    assert told[0].startswith("bench: bad.csv, line 1: column installation is missing")
+    assert told[-1] == "bench: 2 of 4 sources could not be evaluated"
+
+
+def test_what_is_wrong_with_all_is_told_once(bench, files):
+    refused(bench("calibrate", "a.csv", "c.csv", "--bench", "none.yaml"), "none.yaml")
+
+
+def test_one_alone_is_told_as_ever(bench, files):
+    err = refused(bench("calibrate", "bad.csv", "--json", "one.json"))
+    assert err.count("bench: ") == 1
+    assert not Path("one.json").exists()

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from bench.batch.work import worked
+from tests.support.commands import printed, refused
 from tests.support.many_runs import edited, runs_in
 from tests.support.schemas import keeps_to
 
@@ -44,10 +45,12 @@ def test_nothing_changes_where_nothing_is_other(bench, runs):
 def test_verdicts_that_would_be_different_are_told_counted_and_listed(bench, runs):
     shutil.rmtree(runs[2])
     (runs[1] / "verify.json").unlink()
-    status, out, _ = calibrate(bench, "--limit", "1e-6")
-    assert status == 1
-    assert "verdicts: 0 the same, 1 different, 1 with nothing to compare (1 without a stored one)" in out
-    assert "computed with: limit g 1e-06" in out
+    out = printed(
+        calibrate(bench, "--limit", "1e-6"),
+        "verdicts: 0 the same, 1 different, 1 with nothing to compare (1 without a stored one)",
+        "computed with: limit g 1e-06",
+        status=1,
+    )
     assert out.splitlines()[-1] == "1 VERDICT WOULD BE DIFFERENT"
     (row,) = csv.DictReader(Path("out/verdicts.csv").read_text().splitlines())
     assert (Path(row["run"]).name, row["verdict_stored"]) == ("run-1", "passed (conditional pass)")
@@ -57,8 +60,7 @@ def test_verdicts_that_would_be_different_are_told_counted_and_listed(bench, run
 
 def test_a_bad_run_is_listed_and_does_not_stop_the_others(bench, runs):
     (runs[1] / "events.jsonl").write_text("{}\n")
-    status, out, _ = calibrate(bench)
-    assert status == 1
+    out = printed(calibrate(bench), status=1)
     assert out.splitlines()[-1] == "NO VERDICT WOULD BE DIFFERENT; 1 RUN FAILED"
     assert "failed: runs/run-2: " in out
     assert "verdicts: 2 the same" in out
@@ -68,9 +70,7 @@ def test_a_bad_run_is_listed_and_does_not_stop_the_others(bench, runs):
 def test_strict_takes_a_fit_that_is_judged_otherwise(bench, runs):
     edited(runs[0] / "calibrate.json", lambda told: told["residual"].update(p=1e-5))
     assert calibrate(bench)[0] == 0
-    status, out, _ = calibrate(bench, "--strict")
-    assert status == 1
-    assert "lack of fit: 2 judged the same, 1 otherwise" in out
+    printed(calibrate(bench, "--strict"), "lack of fit: 2 judged the same, 1 otherwise", status=1)
 
 
 def test_the_table_has_each_run_once_in_every_form(bench, runs):
@@ -101,14 +101,11 @@ def test_ctrl_c_says_what_is_done_and_the_same_command_goes_on(bench, runs, monk
 
 def test_another_command_in_the_folder_is_refused(bench, runs):
     calibrate(bench)
-    status, out, err = calibrate(bench, "--estimator", "robust")
-    assert (status, out) == (2, "")
+    err = refused(calibrate(bench, "--estimator", "robust"))
     assert err.startswith(
         "bench: out: its batch was begun otherwise: --estimator was gls; go on as it was begun"
     )
-    status, _, err = bench("batch", "diagnose", "--over", "runs/*", "--out", "out")
-    assert status == 2
-    assert "the command was calibrate" in err
+    refused(bench("batch", "diagnose", "--over", "runs/*", "--out", "out"), "the command was calibrate")
 
 
 def test_what_no_run_could_be_asked_is_refused_at_once(bench, runs):
@@ -120,10 +117,7 @@ def test_what_no_run_could_be_asked_is_refused_at_once(bench, runs):
         ("--bench", "nowhere"): "nowhere: there is no such file",
         ("--json", "no/where.json"): "no/where.json",
     }.items():
-        status, _, err = calibrate(bench, *options)
-        assert status == 2
-        assert told in err
-        assert err.count("\n") == 1
+        refused(calibrate(bench, *options), told)
     assert not Path("out").exists()
 
 
@@ -152,8 +146,10 @@ def test_a_batch_of_diagnoses(bench, runs, monkeypatch):
     (runs[0] / "diagnose.json").write_text(json.dumps(told | {"effects": []}))
     (runs[1] / "diagnose.json").write_text(json.dumps(told | {"verdict": "agrees", "effects": []}))
     arguments = ("batch", "diagnose", "--over", "runs/*", "--out", "out")
-    status, out, _ = bench(*arguments)
-    assert status == 1
-    assert "names of effects: 0 judged the same, 2 otherwise" in out
-    assert "1 VERDICT WOULD BE DIFFERENT" in out
+    printed(
+        bench(*arguments),
+        "names of effects: 0 judged the same, 2 otherwise",
+        "1 VERDICT WOULD BE DIFFERENT",
+        status=1,
+    )
     keeps_to("batch", json.loads(Path("out/summary.json").read_text()))

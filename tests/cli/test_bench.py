@@ -1,6 +1,5 @@
 """A run as on a real bench: bench file with addresses, a person who types, instruments that fail."""
 
-import io
 import re
 import socket
 from pathlib import Path
@@ -8,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.cli.app import main
 from bench.config.bench_file.file import load_bench
 from bench.model import ForwardModel
 from bench.run.folder import Run
@@ -37,14 +35,12 @@ ANSWERS = "yes\n23.0\n0 0 2\n89 59 58\n"
 
 
 @pytest.fixture
-def served(tmp_path, monkeypatch):
+def served(empty_folder, monkeypatch):
     """A folder with a procedure and a bench file whose meters are simulated ones on loopback."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("BENCH_FILE", raising=False)
     Path("short.yaml").write_text(PROCEDURE)
-    bench = load_bench(SHIPPED)
-    model = ForwardModel(bench.installation_models())
-    world = World(WorldSettings(bench.simulated_block(), model, {}, seed=1), VirtualClock())
+    file = load_bench(SHIPPED)
+    model = ForwardModel(file.installation_models())
+    world = World(WorldSettings(file.simulated_block(), model, {}, seed=1), VirtualClock())
     meters = {f"voltmeter.{c}": a_34401a(c, interface="gpib") for c in "xyz"}
     move = ManualHead.move
 
@@ -69,22 +65,12 @@ def write_bench_file(resources):
     Path("bench.yaml").write_text(text, encoding="utf-8")
 
 
-def command(capsys, *arguments, answers=ANSWERS):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.stdin", io.StringIO(answers))
-        with pytest.raises(SystemExit) as exit_:
-            main([str(a) for a in arguments])
-    out, err = capsys.readouterr()
-    assert "Traceback" not in err
-    return exit_.value.code, out, err
+def start(bench, answers=ANSWERS, name="run"):
+    return bench("run", "short.yaml", "--bench", "bench.yaml", "--name", name, stdin=answers)
 
 
-def start(capsys, answers=ANSWERS, name="run"):
-    return command(capsys, "run", "short.yaml", "--bench", "bench.yaml", "--name", name, answers=answers)
-
-
-def test_typed_answers_make_readings(served, capsys):
-    status, out, err = start(capsys)
+def test_typed_answers_make_readings(served, bench):
+    status, out, err = start(bench)
     # two points of one installation do not make a calibration: the run is done all the same
     assert (status, err) == (0, "")
     assert "no calibration from it: 2 readings do not determine" in out
@@ -95,29 +81,29 @@ def test_typed_answers_make_readings(served, capsys):
     assert "0°00′00″" in out
 
 
-def test_a_slip_is_asked_again(served, capsys):
-    _, out, _ = start(capsys, answers="yes\n23\n1 0 2\n0 0 2\n90 10 1\n90 0 1\n")
+def test_a_slip_is_asked_again(served, bench):
+    _, out, _ = start(bench, answers="yes\n23\n1 0 2\n0 0 2\n90 10 1\n90 0 1\n")
     assert len(re.findall(r"probably\s+the", out)) == 2
     degrees = np.degrees(Run(Path("runs/run")).readings().angle_rad)
     assert degrees == pytest.approx([2 / 3600, 90 + 1 / 3600], abs=1e-9)
 
 
-def test_when_the_answers_end_the_run_stops_and_goes_on_later(served, capsys):
-    status, _, err = start(capsys, answers="yes\n23\n0 0 2\n")
+def test_when_the_answers_end_the_run_stops_and_goes_on_later(served, bench):
+    status, _, err = start(bench, answers="yes\n23\n0 0 2\n")
     assert status == 2
     assert "the answers ended at the question" in err
     assert "1 readings are kept" in err
     assert len(Run(Path("runs/run")).readings()) == 1
-    assert "interrupted" not in command(capsys, "runs")[1]
-    assert command(capsys, "resume", "run", answers="untouched\n89 59 58\n")[0] == 0
+    assert "interrupted" not in bench("runs")[1]
+    assert bench("resume", "run", stdin="untouched\n89 59 58\n")[0] == 0
     run = Run(Path("runs/run"))
     assert run.history.state == "finished"
     assert run.readings().point.tolist() == [1, 2]
 
 
-def test_at_the_question_of_a_resumed_run_a_pause_waits_and_the_end_ends(served, capsys):
-    start(capsys, answers="yes\n23\n0 0 2\n")
-    status, out, err = command(capsys, "resume", "run", answers=":pause\n:redo\n?\n\n:abort no use\n")
+def test_at_the_question_of_a_resumed_run_a_pause_waits_and_the_end_ends(served, bench):
+    start(bench, answers="yes\n23\n0 0 2\n")
+    status, out, err = bench("resume", "run", stdin=":pause\n:redo\n?\n\n:abort no use\n")
     assert status == 2
     assert "aborted: no use" in err
     assert "redo is not possible: no step goes on yet" in out
@@ -126,17 +112,17 @@ def test_at_the_question_of_a_resumed_run_a_pause_waits_and_the_end_ends(served,
     assert Run(Path("runs/run")).history.state == "aborted"
 
 
-def test_a_head_that_was_not_turned_stops_the_run_which_asks_and_takes_the_point_again(served, capsys):
+def test_a_head_that_was_not_turned_stops_the_run_which_asks_and_takes_the_point_again(served, bench):
     """Answers end at the question: status 2 with the cause; the resumed run asks it first."""
     Path("forgotten").touch()
-    status, out, err = start(capsys)
+    status, out, err = start(bench)
     assert status == 2
     assert "the head was not turned: the signals are those of the point before, at 0°00′02″" in err
     assert "nobody said how to go on" in err
     assert "bench resume run" in err
     Path("forgotten").unlink()
     answers = "untouched\ngo on\n:skip it\n?\nredo point\n90 0 1\n"
-    status, out, _ = command(capsys, "resume", "run", answers=answers)
+    status, out, _ = bench("resume", "run", stdin=answers)
     assert status == 0
     assert "Answer one of redo point, redo pass, mount again, go on REASON, not 'go on'" in out
     assert "skip is not possible: the reading in doubt is to be settled first" in out
@@ -146,15 +132,15 @@ def test_a_head_that_was_not_turned_stops_the_run_which_asks_and_takes_the_point
     assert abs(run.readings().signal[1, 0]) > 2.0  # x is up only at the second try
 
 
-def test_a_second_stop_at_a_point_after_its_redo_says_so_and_proposes_the_pass(served, capsys):
+def test_a_second_stop_at_a_point_after_its_redo_says_so_and_proposes_the_pass(served, bench):
     """The head is forgotten at the redo, too; the resumed run remembers."""
     Path("forgotten").touch()
-    status, out, err = start(capsys, answers=f"{ANSWERS}redo point\n90 0 1\n")
+    status, out, err = start(bench, answers=f"{ANSWERS}redo point\n90 0 1\n")
     assert status == 2
     assert "(the same reading again after it was redone); nobody said how to go on" in err
     assert "answer redo pass, redo point, mount again, go on REASON" in err
     Path("forgotten").unlink()
-    status, out, _ = command(capsys, "resume", "run", answers="untouched\n?\nredo pass\n0 0 2\n90 0 1\n")
+    status, out, _ = bench("resume", "run", stdin="untouched\n?\nredo pass\n0 0 2\n90 0 1\n")
     assert status == 0
     told = " ".join(out.split())
     assert "The same reading again after it was redone: an earlier setting of the pass may be what" in told
@@ -164,44 +150,44 @@ def test_a_second_stop_at_a_point_after_its_redo_says_so_and_proposes_the_pass(s
     assert np.degrees(run.readings().angle_rad) == pytest.approx([2 / 3600, 90 + 1 / 3600], abs=1e-9)
 
 
-def test_a_person_may_go_on_in_spite_of_an_early_sign_and_says_why(served, capsys):
+def test_a_person_may_go_on_in_spite_of_an_early_sign_and_says_why(served, bench):
     Path("forgotten").touch()
-    status, _, _ = start(capsys, answers=ANSWERS + "go on this head has no block on it\n")
+    status, _, _ = start(bench, answers=ANSWERS + "go on this head has no block on it\n")
     assert status == 0
     went_on = [e.data for e in Run(Path("runs/run")).history.events if e.type == "went_on"]
     assert [data["reason"] for data in went_on] == ["this head has no block on it"]
     assert "not turned" in went_on[0]["causes"][0]
 
 
-def test_a_bench_file_changed_since_is_told_and_asked_about(served, capsys):
-    start(capsys, answers="yes\n23\n0 0 2\n")
+def test_a_bench_file_changed_since_is_told_and_asked_about(served, bench):
+    start(bench, answers="yes\n23\n0 0 2\n")
     Path("bench.yaml").write_text(
         Path("bench.yaml").read_text().replace("limit: 5 arcsec", "limit: 50 arcsec")
     )
-    status, out, err = command(capsys, "resume", "run", answers="no\n")
+    status, out, err = bench("resume", "run", stdin="no\n")
     assert status == 2
     assert "bench.yaml was changed since the run began" in out
     assert "answered no" in err
-    assert command(capsys, "resume", "run", answers="yes\nuntouched\n89 59 58\n")[0] == 0
+    assert bench("resume", "run", stdin="yes\nuntouched\n89 59 58\n")[0] == 0
     assert Run(Path("runs/run")).history.state == "finished"
 
 
-def test_an_absent_meter_is_one_sentence(served, capsys):
+def test_an_absent_meter_is_one_sentence(served, bench):
     resources = list(served.resources.values())
     with socket.create_server(("127.0.0.1", 0)) as listener:
         free = listener.getsockname()[1]
     write_bench_file([*resources[:2], f"TCPIP0::127.0.0.1::{free}::SOCKET"])
-    status, _, err = start(capsys)
+    status, _, err = start(bench)
     assert status == 2
     assert "voltmeter.z" in err
     assert "refused" in err
     assert Run(Path("runs/run")).history.problems == ()
 
 
-def test_all_absent_meters_are_named_at_once(served, capsys):
+def test_all_absent_meters_are_named_at_once(served, bench):
     for server in served.servers.values():
         server.stop()
-    status, _, err = start(capsys)
+    status, _, err = start(bench)
     assert status == 2
     assert all(f"voltmeter.{c}" in err for c in "xyz")
 
@@ -223,10 +209,10 @@ def overload(request, reply):
     ("fault", "says"), [(cut, "voltmeter.y"), (drop, "voltmeter.y"), (overload, "overload")]
 )
 def test_a_fault_on_the_wire_stops_with_the_record_whole_and_is_repaired_by_resume(
-    served, capsys, fault, says
+    served, bench, fault, says
 ):
     served.servers["voltmeter.y"].fault = fault
-    status, _, err = start(capsys)
+    status, _, err = start(bench)
     assert status == 2
     assert says in err.lower()
     assert "voltmeter.y" in err
@@ -235,35 +221,33 @@ def test_a_fault_on_the_wire_stops_with_the_record_whole_and_is_repaired_by_resu
     assert run.history.state == "failed"
     assert not any("reading" in e.data for e in run.history.events)
     served.servers["voltmeter.y"].fault = None
-    command(capsys, "resume", "run", answers="untouched\n0 0 2\n89 59 58\n")
+    bench("resume", "run", stdin="untouched\n0 0 2\n89 59 58\n")
     run = Run(Path("runs/run"))
     assert run.history.state == "finished"
     assert run.readings().point.tolist() == [1, 2]
 
 
-def test_gpib_without_a_board_is_one_sentence(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_gpib_without_a_board_is_one_sentence(bench):
     Path("short.yaml").write_text(PROCEDURE)
-    status, _, err = command(capsys, "run", "short.yaml", "--bench", SHIPPED)
+    status, _, err = bench("run", "short.yaml", "--bench", SHIPPED, stdin=ANSWERS)
     assert status == 2
     assert "GPIB" in err
 
 
 @pytest.mark.slow
-def test_interrupted_anywhere_a_dry_run_resumes_to_the_undisturbed_readings(tmp_path, monkeypatch, capsys):
+def test_interrupted_anywhere_a_dry_run_resumes_to_the_undisturbed_readings(bench):
     """Reading for reading: the world's random numbers belong to the step, bench time goes on."""
-    monkeypatch.chdir(tmp_path)
     Path("two.yaml").write_text(TWO_INSTALLATIONS, encoding="utf-8")
-    command(capsys, "run", "two.yaml", "--dry-run", "--name", "whole", "--seed", 5)
+    bench("run", "two.yaml", "--dry-run", "--name", "whole", "--seed", 5)
     whole = Run(Path("runs/whole")).readings()
     for moment, event in enumerate((5, 12, 13, 14, 40, 66)):
         name = f"cut{moment}"
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("bench.run.runner.Recorder.emit", interrupt_at(event))
-            status, _, err = command(capsys, "run", "two.yaml", "--dry-run", "--name", name, "--seed", 5)
+            status, _, err = bench("run", "two.yaml", "--dry-run", "--name", name, "--seed", 5)
         assert status == 2
         assert f"bench resume {name}" in err
-        assert command(capsys, "resume", name)[0] == 0
+        assert bench("resume", name)[0] == 0
         resumed = Run(Path("runs") / name).readings()
         assert np.array_equal(resumed.signal, whole.signal)
         assert np.array_equal(resumed.angle_rad, whole.angle_rad)

@@ -14,6 +14,7 @@ from bench.services.errors import Refused
 from bench.services.execution import new_run
 from bench.services.requests.measuring import RunRequest
 from tests.support.check_runs import measured, write_bench
+from tests.support.commands import printed, refused
 from tests.support.schemas import keeps_to
 
 SHIFT = "model_file: 1\nname: a meter off\neffects:\n  - name: voltmeter_offset\n    parameters: {offset: 600 uV}\n"
@@ -143,9 +144,7 @@ def test_the_command_draws_the_chart_and_its_status_is_the_verdict(there, bench,
     page = Path("chart.html").read_text(encoding="utf-8")
     assert "Out of control" in page
     assert "SIMULATED" in page
-    status, out, _ = bench("chart", *(f"check-{k}" for k in range(4)), "--limits", "stated")
-    assert status == 0
-    assert "IN CONTROL: check-3" in out
+    printed(bench("chart", *(f"check-{k}" for k in range(4)), "--limits", "stated"), "IN CONTROL: check-3")
 
 
 @pytest.mark.parametrize(
@@ -159,9 +158,7 @@ def test_the_command_draws_the_chart_and_its_status_is_the_verdict(there, bench,
 )
 def test_what_cannot_be_charted_is_one_sentence(there, bench, laboratory, monkeypatch, arguments, told):
     monkeypatch.chdir(laboratory)
-    status, _, err = bench("chart", "runs", *arguments)
-    assert status == 2
-    assert told in err
+    refused(bench("chart", "runs", *arguments), told)
 
 
 def test_a_reference_from_elsewhere_stands_in_for_a_baseline(there, tmp_path):

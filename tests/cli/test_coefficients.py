@@ -1,4 +1,4 @@
-"""bench coefficients: from runs, readings files and results, in the forms asked for."""
+"""`bench coefficients`: forms and what they lose; `bench certificate verify`."""
 
 import json
 import shutil
@@ -9,6 +9,8 @@ import pytest
 
 import bench as face
 from bench.exchange.forms import FORMS
+from tests.support.certificates import ORDER, copy_run, write_files
+from tests.support.commands import printed, refused
 from tests.support.pages import ROOT
 from tests.support.schemas import keeps_to
 
@@ -70,10 +72,11 @@ def test_what_the_result_says_of_its_uncertainty_is_passed_on(bench):
     for entry in given["coefficients"].values():
         entry.update(k=2.13, U=2.13 * entry["u"], dof=17.0)
     Path("whole.json").write_text(json.dumps(given), encoding="utf-8")
-    status, out, _ = bench("coefficients", "whole.json", "--json", "out.json", "--as", "csv")
-    assert status == 0
-    assert "combined: the stand" in out
-    assert "certificates: voltmeter.x C-17 (a lab, 2025-01-02, EXPIRED)" in out
+    printed(
+        bench("coefficients", "whole.json", "--json", "out.json", "--as", "csv"),
+        "combined: the stand",
+        "certificates: voltmeter.x C-17 (a lab, 2025-01-02, EXPIRED)",
+    )
     result = json.loads(Path("out.json").read_text(encoding="utf-8"))
     keeps_to("coefficients", result)
     assert result["combined"]
@@ -94,8 +97,7 @@ def test_several_results_in_one_file_are_numbered(bench):
 
 def test_free_positions_in_counts_have_the_scale_factors_that_are_asked_for(bench):
     arguments = ["coefficients", DATA / "xsens-38.csv", "--g", "9.81744", "--out", ".", "--as", "ardupilot"]
-    status, out, _ = bench(*arguments, "--nominal", "4063,4040,4065")
-    assert status == 0
+    out = printed(bench(*arguments, "--nominal", "4063,4040,4065"))
     assert "S = (4063.0, 4040.0, 4065.0) counts/g" in Path("xsens-38-ardupilot.param").read_text()
     assert "INS_ACCOFFS_X = 79.95 is outside -3.5 to 3.5, which ArduPilot allows" in out
 
@@ -128,10 +130,7 @@ def test_mistakes_are_one_line_each(finished, arguments, told):
         one = json.loads((RECORDS / "calibrate.json").read_text(encoding="utf-8"))
         one["coefficients"]["Kyy"]["value"] = value
         Path(name).write_text(json.dumps(one), encoding="utf-8")
-    status, _, err = finished("coefficients", *arguments)
-    assert status == 2
-    assert told in err
-    assert err.count("\n") == 1
+    refused(finished("coefficients", *arguments), told)
 
 
 def test_from_python_a_form_is_written_and_what_it_loses_is_returned(empty_folder):
@@ -147,3 +146,40 @@ def test_from_python_a_form_is_written_and_what_it_loses_is_returned(empty_folde
     assert "S = (-2.0, -2.1, -2.1) V/g" in Path("unit.params").read_text(encoding="utf-8")
     with pytest.raises(face.Refused, match="'matlab': the forms are json, csv, c"):
         result.write("unit.m", "matlab")
+
+
+@pytest.mark.slow
+def test_what_is_issued_and_signed_is_intact_until_it_is_changed(bench):
+    copy_run(Path("runs"))
+    laboratory, order = write_files(Path(), None, ORDER)
+    assert bench("key", "keys/lab.pem", "--certificate", "Laboratory of Tests")[0] == 0
+    status, out, err = bench(
+        "certificate", "finished", "--laboratory", laboratory, "--order", order,
+        "--authorised-by", "A. Example", "--key", "keys/lab.pem", "--json", "issued.json",
+    )  # fmt: skip
+    assert status == 0, err
+    files = json.loads(Path("issued.json").read_text())["certificates"][0]["files"]
+    (pdf,) = (one for one in files if one.endswith(".pdf"))
+    printed(
+        bench("certificate", "verify", pdf, "--json", "verdict.json"),
+        "intact, signer unknown",
+        "SIMULATED",
+        "Kxx",
+        "the same result to the last digit",
+        "not proved: who signed",
+    )
+    keeps_to("certificate-verify", json.loads(Path("verdict.json").read_text()))
+    for file in files:
+        assert (
+            "signed by Laboratory of Tests"
+            in bench("certificate", "verify", file, "--trust", "keys/lab.pem.crt")[1]
+        )
+    bench("key", "keys/other.pem", "--certificate", "Laboratory of Tests")
+    printed(
+        bench("certificate", "verify", pdf, "--trust", "keys/other.pem.crt"), "signer not trusted", status=1
+    )
+    Path(pdf).write_bytes(Path(pdf).read_bytes() + b"\n")
+    out = printed(bench("certificate", "verify", pdf, "--json", "verdict.json"), "CHANGED", status=1)
+    assert "Kxx" not in out
+    keeps_to("certificate-verify", json.loads(Path("verdict.json").read_text()))
+    assert bench("certificate", "verify", "none.pdf")[0] == 2

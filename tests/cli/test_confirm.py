@@ -8,6 +8,7 @@ import pytest
 
 import bench as program
 from bench.readings.csv import write_csv
+from tests.support.commands import printed, refused
 from tests.support.diagnosis_bench import paper_run
 from tests.support.schemas import keeps_to
 
@@ -41,9 +42,11 @@ def test_what_is_there_again_is_confirmed(bench):
     assert "quadratic_nonlinearity[y]: confirmed" in out
     assert program.confirm("new.csv", model="found.yaml").to_dict() == result
     # what is gone is not accepted
-    status, out, _ = bench("confirm", measured("clean.csv", 72, 0.0), "--model", "found.yaml")
-    assert status == 1
-    assert "clean.csv: GONE: " in out
+    printed(
+        bench("confirm", measured("clean.csv", 72, 0.0), "--model", "found.yaml"),
+        "clean.csv: GONE: ",
+        status=1,
+    )
 
 
 def test_what_confirms_nothing_is_refused(bench):
@@ -52,16 +55,12 @@ def test_what_confirms_nothing_is_refused(bench):
     name = measured("first.csv", 73, 100e-6)
     (source,) = load_sources(Request([name], Path("runs")))
     Path("own.yaml").write_text(MODEL + f"data_sha256: {data_sha256(source.as_read)}\n", encoding="utf-8")
-    status, _, err = bench("confirm", name, "--model", "own.yaml")
-    assert status == 2
-    assert (
-        "own.yaml: it was found in these very readings (first.csv), which cannot confirm it; take new ones"
-        in err
+    refused(
+        bench("confirm", name, "--model", "own.yaml"),
+        "own.yaml: it was found in these very readings (first.csv), which cannot confirm it; take new ones",
     )
     Path("empty.yaml").write_text("model_file: 1\nname: nothing\n", encoding="utf-8")
-    status, _, err = bench("confirm", name, "--model", "empty.yaml")
-    assert status == 2
-    assert "it has no effects" in err
+    refused(bench("confirm", name, "--model", "empty.yaml"), "it has no effects")
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import pytest
 import bench as program
 from bench.readings.csv import write_csv
 from bench.readings.table import make_readings
+from tests.support.commands import printed, refused
 from tests.support.schemas import keeps_to
 
 NOISE = 0.2
@@ -65,12 +66,10 @@ def test_what_is_found_is_written_as_a_page_and_as_a_model_that_calibrate_and_co
 
 
 def test_what_is_gone_or_was_found_in_these_is_no_proof(bench, named):
-    status, out, _ = bench("confirm", measured("cold.csv", 3), "--model", named["model"])
-    assert status == 1
-    assert "cold.csv: GONE: " in out
-    status, _, err = bench("confirm", "warm.csv", "--model", named["model"])
-    assert status == 2
-    assert "found in these very readings" in err
+    printed(
+        bench("confirm", measured("cold.csv", 3), "--model", named["model"]), "cold.csv: GONE: ", status=1
+    )
+    refused(bench("confirm", "warm.csv", "--model", named["model"]), "found in these very readings")
 
 
 def test_the_copy_without_what_stands_apart_is_searched_to_the_same_end(bench):
@@ -92,8 +91,7 @@ def test_files_of_several_records_stand_beside_the_first_of_them(bench):
     Path("two").mkdir()
     measured("one/a.csv", 6)
     measured("two/b.csv", 7)
-    status, out, _ = bench("diagnose", "one/a.csv", "two/b.csv", "--together")
-    assert status == 0
+    out = printed(bench("diagnose", "one/a.csv", "two/b.csv", "--together"))
     assert Path("one/diagnose-together/a+b.html").is_file(), out
     assert sorted(path.name for path in Path().iterdir()) == ["one", "two"]
 

@@ -1,4 +1,4 @@
-"""`bench instruments`: every instrument at once, all failures together; and what interfaces offer."""
+"""`bench instruments`: every instrument at once, all failures together; what interfaces offer; commissioning."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from sim.bench import SimulatedBench
 from sim.wires.faults import Fault, FaultKind
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
+from tests.support.commands import printed, refused
 from tests.support.patience import PATIENCE_S
 from tests.support.simulated_stand import a_34401a
 
@@ -85,9 +86,7 @@ def test_a_bench_that_is_well(served: SimulatedBench, bench: Bench) -> None:
 
 
 def test_json_holds_what_the_table_shows(served: SimulatedBench, bench: Bench) -> None:
-    status, out, _ = bench("--bench", "bench.yaml", "--json", "-")
-    assert status == 0
-    result = json.loads(out)
+    result = json.loads(printed(bench("--bench", "bench.yaml", "--json", "-")))
     assert result["passed"] is True
     by_name = {row["name"]: row for row in result["instruments"]}
     assert list(by_name) == [*METERS, "head", "chamber"]
@@ -106,11 +105,11 @@ def test_all_failures_stand_together_and_the_rest_is_shown(served: SimulatedBenc
     served.servers["voltmeter.z"].stop()
     status, out, err = bench("--bench", "bench.yaml")
     assert status == 2
-    silent, refused = err.splitlines()
+    silent, no_connection = err.splitlines()
     assert silent.startswith("bench: voltmeter.x: ")
     assert "did not answer *IDN? within 0.3 s; check that it is on" in silent
-    assert refused.startswith("bench: voltmeter.z: ")
-    assert "refused the connection" in refused
+    assert no_connection.startswith("bench: voltmeter.z: ")
+    assert "refused the connection" in no_connection
     assert out.count("NOT OPENED") == 2
     assert "3 of 5 instruments are well" in out
     assert "passed" in out
@@ -278,10 +277,7 @@ def test_a_bench_with_motors_is_looked_at_and_nothing_moves() -> None:
 
 def test_without_a_bench_file_it_says_so(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("BENCH_FILE", raising=False)
-    status, out, err = bench()
-    assert (status, out) == (2, "")
-    assert "--bench FILE" in err
-    assert "--discover" in err
+    refused(bench(), "--bench FILE", "--discover")
 
 
 def test_the_wire_log_holds_both_directions(served: SimulatedBench, bench: Bench) -> None:
@@ -337,8 +333,7 @@ def test_the_command_lists_offers(bench: Bench, monkeypatch: pytest.MonkeyPatch)
     assert "TCPIP::10.0.0.7::INSTR" in out
     assert "/dev/ttyUSB0 USB serial" in out
     assert "raw SCPI sockets" in out
-    status, out, _ = bench("--discover", "--json", "-")
-    assert status == 0
+    out = printed(bench("--discover", "--json", "-"))
     assert json.loads(out)["resources"] == ["TCPIP::10.0.0.7::INSTR"]
 
 
@@ -355,3 +350,49 @@ def test_instruments_that_another_program_holds_are_refused_with_its_name(
     assert status == 2
     assert err.count("is in use by 'bench run'; end that program or wait for it") == 3
     assert out.count("NOT OPENED") == 3
+
+
+def test_without_a_terminal_it_is_refused_before_anything_is_opened(bench, empty_folder):
+    refused(bench("--commission", "--bench", "bench-lan"), "start it in a terminal")
+    assert list(Path.cwd().iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--commission"], "say which bench"),
+        (["--commission", "--discover", "--bench", "bench-lan"], "goes without --discover"),
+        (
+            ["--commission", "--wire-log", "w", "--bench", "bench-lan"],
+            "goes without --discover and --wire-log",
+        ),
+        (["--dry-run", "--bench", "bench-lan"], "--dry-run and --out go with --commission"),
+        (["--out", "here", "--bench", "bench-lan"], "--dry-run and --out go with --commission"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(bench, empty_folder, arguments, said):
+    refused(bench(*arguments), said)
+
+
+def test_a_dry_run_prints_what_it_finds_and_where_the_page_is(bench, empty_folder):
+    status, out, err = bench("--commission", "--dry-run", "--bench", "bench-lan")
+    assert (status, err) == (0, "")
+    assert "voltmeter.x: time of a reading" in out
+    (folder,) = Path.cwd().glob("commissioning-*")
+    assert f"page: {folder.name}/commissioning.html" in out.replace("\\", "/")
+
+
+def test_json_alone_goes_to_standard_output_and_a_fault_decides_the_status(bench, empty_folder):
+    from bench.config.shipped import find_bench
+
+    text = find_bench("bench-lan").read_text(encoding="utf-8")
+    faults = "simulation:\n  faults: [{fault: overload, instrument: voltmeter.y, probability: 1}]\n"
+    Path("bench.yaml").write_text(f"{text}\n{faults}", encoding="utf-8")
+    status, out, _ = bench(
+        "--commission", "--dry-run", "--bench", "bench.yaml", "--out", "here", "--json", "-"
+    )
+    result = json.loads(out)
+    assert status == result["status"] == 1
+    wrong = {one["instrument"] for one in result["findings"] if one["state"] != "works"}
+    assert wrong == {"voltmeter.y"}
+    assert (Path("here") / "commissioning.html").is_file()

@@ -9,6 +9,7 @@ from typing import Final
 import pytest
 
 from bench.run.folder import Run
+from tests.support.commands import printed
 
 pytestmark = pytest.mark.slow
 
@@ -101,8 +102,7 @@ SINCE: Final = {
 def test_an_old_record_evaluates_to_what_it_did(bench, recorded):
     """Readings, fit and verdict; what u was then is u_readings now, but for channels told apart in their noise."""
     for command in ("calibrate", "verify"):
-        status, out, _ = bench(command, recorded, "--json", "-")
-        assert status == 0
+        out = printed(bench(command, recorded, "--json", "-"))
         expected = json.loads((RECORDS / f"{command}.json").read_text(encoding="utf-8"))
         found = json.loads(out)
         for name, then in expected.get("coefficients", {}).items():

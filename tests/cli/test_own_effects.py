@@ -13,6 +13,7 @@ from bench.model import CATALOGUE
 from bench.readings.csv import write_csv
 from bench.run.folder import Run
 from bench.services.own_effects import knowing_effects_on_record, simulated_truth
+from tests.support.commands import printed, refused
 from tests.support.paper_bench import simulate
 
 EFFECTS = """\
@@ -45,13 +46,9 @@ def files(bench):
 
 
 def test_a_model_that_names_it_is_read_with_the_option_alone(files, monkeypatch):
-    status, _, err = files("calibrate", "readings.csv", "--model", "model.yaml")
-    assert status == 2
-    assert "unknown effect 'fourth_power'" in err
+    refused(files("calibrate", "readings.csv", "--model", "model.yaml"), "unknown effect 'fourth_power'")
     asked = ("calibrate", "readings.csv", "--model", "model.yaml")
-    status, out, err = files(*asked, "--effects", "mine.yaml")
-    assert status == 0, err
-    assert "fourth_power.K4[x]" in out
+    printed(files(*asked, "--effects", "mine.yaml"), "fourth_power.K4[x]")
     assert "BENCH_EFFECTS" not in os.environ
     assert "fourth_power" not in CATALOGUE
     monkeypatch.setenv("BENCH_EFFECTS", "mine.yaml")
@@ -61,12 +58,11 @@ def test_a_model_that_names_it_is_read_with_the_option_alone(files, monkeypatch)
 
 def test_a_file_with_mistakes_is_told_with_lines(files):
     Path("mine.yaml").write_text(EFFECTS.replace("a**4", "b**4"))
-    status, _, err = files("calibrate", "readings.csv", "--effects", "mine.yaml")
-    assert status == 2
-    assert "mine.yaml:6: formulas[1].expression: 'b' is neither a parameter nor a variable" in err
-    status, _, err = files("calibrate", "readings.csv", "--effects", "nothing.yaml")
-    assert status == 2
-    assert "there is no such file" in err
+    refused(
+        files("calibrate", "readings.csv", "--effects", "mine.yaml"),
+        "mine.yaml:6: formulas[1].expression: 'b' is neither a parameter nor a variable",
+    )
+    refused(files("calibrate", "readings.csv", "--effects", "nothing.yaml"), "there is no such file")
 
 
 @pytest.mark.slow

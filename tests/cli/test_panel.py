@@ -9,6 +9,7 @@ import pytest
 from bench.panel.access import STATE, Settings, is_loopback
 from bench.panel.app import LOCK, SERVER, new_link, open_panel, serve
 from bench.run.events import RecordError
+from tests.support.commands import printed, refused
 
 
 def told(text):
@@ -16,8 +17,7 @@ def told(text):
 
 
 def test_a_token_is_told_once(bench):
-    status, out, _ = bench("panel", "token", "anna", "--role", "viewer")
-    assert status == 0
+    out = printed(bench("panel", "token", "anna", "--role", "viewer"))
     token = told(out)
     assert len(token) > 40
     assert token not in bench("panel", "tokens")[1]
@@ -40,10 +40,7 @@ def test_a_token_is_told_once(bench):
     ],
 )
 def test_what_cannot_be_is_one_sentence(bench, typed, said):
-    status, _, err = bench("panel", *typed)
-    assert status == 2
-    assert said in err
-    assert err.count("\n") == 1
+    refused(bench("panel", *typed), said)
 
 
 def test_a_port_that_is_taken_is_one_sentence(bench):

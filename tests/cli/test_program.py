@@ -1,14 +1,25 @@
-"""The program as it is started: Ctrl-C at any moment is a line, and hides no other."""
+"""What holds for every command: Ctrl-C, help, quiet, completion, what a mistake is called."""
 
+import io
+import json
 import os
+import re
 import signal
 import sys
+from importlib import metadata
+from pathlib import Path
 
 import pytest
+from rich.console import Console
 
-from bench.cli import app, program
+from bench.base.computing import heard_by, quiet, tracked
+from bench.cli import app, printing, program
+from bench.cli.app import explain
+from bench.cli.commands import COMMANDS, HEADINGS
 from bench.run.interrupts import Interrupts
 from bench.services.errors import Refused
+from tests.support.commands import printed, refused
+from tests.support.pages import ROOT
 
 
 @pytest.fixture
@@ -70,3 +81,193 @@ def test_ctrl_c_as_the_program_leaves_changes_neither_status_nor_what_was_said(h
         program.main()
     assert end.value.code == 1
     assert capsys.readouterr().err == ""
+
+
+def test_a_terminal_that_knows_few_characters_is_shown_escapes(handler, monkeypatch, empty_folder):
+    shown = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(shown, encoding="ascii", write_through=True))
+    monkeypatch.setattr(sys, "argv", ["bench", "check", "quick"])
+    with pytest.raises(SystemExit) as end:
+        program.main()
+    assert end.value.code == 0
+    assert rb"\xb5V/g" in shown.getvalue()
+
+
+RECORDS = ROOT / "tests" / "data" / "records"
+
+
+# --- help -------------------------------------------------------------------------------------------
+
+
+def test_help_lists_every_command_under_a_heading_with_its_whole_summary(bench, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    status, out, err = bench("--help")
+    assert (status, err) == (0, "")
+    assert max(map(len, out.splitlines())) <= 80
+    words = " ".join(out.split())
+    for name, line in COMMANDS.items():
+        assert f"{name} {line}" in words, name
+    assert [line for line in HEADINGS.values() if f"\n{line}:\n" in out] == list(HEADINGS.values())
+    assert "..." not in out.replace("[ARGS]...", "")
+
+
+@pytest.mark.parametrize("arguments", [[], ["runs"], ["run"]])
+def test_h_is_help(bench, arguments):
+    short, long = bench(*arguments, "-h"), bench(*arguments, "--help")
+    assert short == long
+    assert short[0] == 0
+    assert "-h, --help" in short[1]
+
+
+def test_the_version_is_that_of_the_distribution_and_no_command_is_carried_out_beside_it(bench):
+    told = (0, f"bench {metadata.version('triaxial-bench')}\n", "")
+    assert bench("--version") == bench("--version", "run", "paper", "--dry-run") == told
+
+
+# --- completion -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def completed(bench, monkeypatch):
+    def complete(*words):
+        monkeypatch.setenv("_BENCH_COMPLETE", "complete_bash")
+        monkeypatch.setenv("COMP_WORDS", " ".join(["bench", *words]))
+        monkeypatch.setenv("COMP_CWORD", str(len(words)))
+        monkeypatch.setattr("sys.argv", ["bench"])
+        return bench()[1].split()
+
+    return complete
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        (["re"], {"resume", "report", "require"}),
+        (["run", "qu"], {"quick"}),
+        (["run", "--dry"], {"--dry-run"}),
+        (["show", "un"], {"unit-1", "unit-2"}),
+        (["calibrate", ""], {"unit-1", "unit-2", "by-hand.csv", "runs/"}),
+        (["check", "paper", "--bench", "paper"], {"paper-stand"}),
+        (["--"], {"--debug", "--quiet", "--version", "--install-completion", "--show-completion", "--help"}),
+    ],
+)
+def test_a_shell_completes(completed, words, offered):
+    for name in ("unit-1", "unit-2"):
+        (Path("runs") / name).mkdir(parents=True)
+        (Path("runs") / name / "run.json").write_text("{}")
+    Path("by-hand.csv").touch()
+    assert offered == set(completed(*words))
+
+
+def test_the_script_for_a_shell_is_shown_and_nothing_is_written(bench, monkeypatch):
+    monkeypatch.setenv("HOME", str(Path.cwd()))
+    monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "")
+    monkeypatch.setattr("typer.completion._get_shell_name", lambda: "bash")
+    monkeypatch.setattr("sys.argv", ["bench"])
+    printed(bench("--show-completion"), "complete -o default -F")
+    assert list(Path().iterdir()) == []
+
+
+# --- a mistake of the program -----------------------------------------------------------------------
+
+
+def test_a_mistake_of_the_program_says_in_which_command_and_what_to_do(bench, monkeypatch):
+    def lost(folder):
+        raise KeyError("x")
+
+    monkeypatch.setattr("bench.services.records.run_summaries", lost)
+    err = refused(bench("runs"))
+    assert err == (
+        "bench: 'bench runs' was stopped by a mistake of the program (KeyError: 'x'); run it again with --debug "
+        "and report what it shows\n"
+    )
+    assert "Traceback" in bench("runs", "--debug")[2]
+
+
+def test_no_message_begins_with_unexpected():
+    beginning = re.compile(r"""["'](bench: )?unexpected""", re.IGNORECASE)
+    for top in ("bench", "drivers", "sim"):
+        for path in (ROOT / top).rglob("*.py"):
+            assert not beginning.search(path.read_text(encoding="utf-8")), path
+    assert not explain(RuntimeError()).lower().startswith("unexpected")
+
+
+# --- quiet, and progress ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("where", ["before", "after"])
+def test_quiet_leaves_results_and_takes_notes_away(bench, where):
+    results = [str(RECORDS / "calibrate.json")] * 2
+    said = bench("compare", *results)[1]
+    assert "note:" in said
+    arguments = ["compare", *results]
+    _, out, err = bench(*(["--quiet", *arguments] if where == "before" else [*arguments, "--quiet"]))
+    assert err == ""
+    assert "note:" not in out
+    assert out.splitlines() == [line for line in said.splitlines() if not line.startswith("note:")]
+    assert quiet.get() is False
+
+
+class StoppedClock:
+    """A clock that is set."""
+
+    def __init__(self):
+        self.time_s = 0.0
+
+    def now_s(self):
+        return self.time_s
+
+    def sleep(self, duration_s):
+        self.time_s += duration_s
+
+
+def test_progress_says_how_much_time_is_left():
+    clock, console = StoppedClock(), Console(file=io.StringIO(), force_terminal=True, width=100)
+    with printing.progress(console, clock):
+        for _ in tracked(range(10), "ten parts"):
+            clock.sleep(60.0)
+            console.print("part")
+    out = console.file.getvalue()
+    assert "ten parts" in out
+    assert "0:05:00" in out  # five of ten, a minute each
+
+
+def test_progress_is_silent_without_a_terminal_and_when_quiet_is_asked_for():
+    for terminal, hushed in ((False, False), (True, True)):
+        console = Console(file=io.StringIO(), force_terminal=terminal)
+        before = quiet.set(hushed)
+        try:
+            with printing.progress(console, StoppedClock()):
+                assert list(tracked("abc", "letters")) == ["a", "b", "c"]
+        finally:
+            quiet.reset(before)
+        assert console.file.getvalue() == ""
+
+
+def test_what_is_tracked_is_told_with_its_end():
+    told = []
+    with heard_by(lambda *one: told.append(one)):
+        assert list(tracked(iter("ab"), "two", 2)) == ["a", "b"]
+        assert list(tracked(["alone"], "one")) == ["alone"]
+    assert list(tracked("ab", "nobody hears")) == ["a", "b"]
+    assert told == [("two", 0, 2), ("two", 1, 2), ("two", 2, 2)]
+
+
+# --- the list of runs -------------------------------------------------------------------------------
+
+
+def test_the_list_of_runs_shows_verdict_and_a_command_to_copy_at_80_columns(bench):
+    import shutil
+
+    long = "calibration-20261101-101500"
+    for name, passed in (("one", True), (long, False), ("open", None)):
+        shutil.copytree(RECORDS / ("interrupted" if passed is None else "finished"), Path("runs") / name)
+        if passed is not None:
+            (Path("runs") / name / "verify.json").write_text(json.dumps({"passed": passed}))
+    out = bench("runs")[1]
+    assert max(map(len, out.splitlines())) <= 80
+    assert re.search(r"^one .*simulated .*finished +\d+  PASSED$", out, re.MULTILINE)
+    assert re.search(rf"^{long}\n .*finished +\d+  FAILED$", out, re.MULTILINE)
+    assert "\n    bench resume open\n" in out
+    found = {run["name"]: run["verdict"] for run in json.loads(bench("runs", "--json", "-")[1])["runs"]}
+    assert found == {"one": "passed", long: "failed", "open": None}

@@ -1,14 +1,19 @@
 """The results of a finished run: made by `resume` where a signal, a kill or a full disk left them out."""
 
+import contextlib
+import io
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
+from bench.cli.app import main
 from bench.run.events import RunState
 from bench.run.folder import RESULTS, Run
 from bench.run.interrupts import Interrupts
-from bench.services import calibration
+from bench.services import conclusion
+from tests.support.commands import printed
 
 pytestmark = pytest.mark.slow
 
@@ -24,17 +29,28 @@ def complete():
     return all((RUN / name).is_file() for name in MADE) and not Run(RUN).results_missing
 
 
+@pytest.fixture(scope="module")
+def stopped_run(tmp_path_factory):
+    """The folder of a run that was stopped by Ctrl-C before its results were made, its exit status and words."""
+    said = io.StringIO()
+    folder = tmp_path_factory.mktemp("stopped")
+    with contextlib.chdir(folder), contextlib.redirect_stderr(said), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(conclusion, "calibration_of", stopped)
+        with pytest.raises(SystemExit) as ended:
+            main(["run", "quick", "--dry-run", "--name", "one", "--runs", "runs"])
+    return folder / RUN, ended.value.code, said.getvalue()
+
+
 @pytest.fixture
-def finished(bench, monkeypatch):
-    """A run that was stopped by Ctrl-C before its results were made."""
-    with monkeypatch.context() as patch:
-        patch.setattr(calibration, "calibration_of", stopped)
-        status, _, err = bench("run", "quick", "--dry-run", "--name", "one")
+def finished(stopped_run, empty_folder):
+    """A copy of that run as `runs/one`."""
+    folder, status, err = stopped_run
     assert status == 2
     assert err == (
         "bench: stopped before the results were made; all readings are kept in runs/one, and "
         "'bench resume one' makes the results\n"
     )
+    shutil.copytree(folder, RUN)
     assert Run(RUN).history.state is RunState.FINISHED
     record = (RUN / "events.jsonl").read_bytes()
     yield
@@ -99,9 +115,7 @@ def test_a_run_that_is_no_calibration_has_all_its_results_when_that_is_said(benc
         "procedure: one\ntitle: One\nreading: {samples: 2, nplc: 1, settle: 1 s}\n"
         "steps: [installation: {label: 1, steps: [turn: {angles: [10 deg]}]}]\n"
     )
-    status, out, _ = bench("run", "one.yaml", "--dry-run", "--name", "short")
-    assert status == 0
-    assert "no calibration from it" in out
+    printed(bench("run", "one.yaml", "--dry-run", "--name", "short"), "no calibration from it")
     assert not Run(Path("runs/short")).results_missing
 
 

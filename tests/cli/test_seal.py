@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from bench.run.events import EVENTS, MANIFEST
+from tests.support.commands import printed, refused
 from tests.support.time_authority import Authority, Served
 
 RECORDS = Path(__file__).parents[1] / "data" / "records"
@@ -58,11 +59,7 @@ def head_of(folder):
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_without_anything_outside_the_folder_it_is_said_that_such_changes_do_not_show(bench, run, attack):
     attack(run)
-    status, out, _ = bench("show", "one", "--verify")
-    assert status == 0
-    assert "chain of hashes whole" in out
-    assert NOTHING_OUTSIDE in out
-    assert "no seal" in out
+    printed(bench("show", "one", "--verify"), "chain of hashes whole", NOTHING_OUTSIDE, "no seal")
 
 
 @pytest.mark.parametrize("attack", ATTACKS)
@@ -70,14 +67,10 @@ def test_a_head_noted_elsewhere_betrays_them(bench, run, attack):
     (result,) = [json.loads(bench("calibrate", "one", "--json", "-")[1])]
     assert result["record"] == {"events": 142, "head": head_of(run)}
     head = result["record"]["head"]
-    status, out, _ = bench("show", "one", "--verify", "--head", head)
-    assert status == 0
-    assert "the head is the one given" in out
+    out = printed(bench("show", "one", "--verify", "--head", head), "the head is the one given")
     assert NOTHING_OUTSIDE not in out
     attack(run)
-    status, out, _ = bench("show", "one", "--verify", "--head", head)
-    assert status == 1
-    assert "the head is not the one given" in out
+    printed(bench("show", "one", "--verify", "--head", head), "the head is not the one given", status=1)
 
 
 def test_a_head_that_is_none_is_refused(bench, run):
@@ -87,48 +80,42 @@ def test_a_head_that_is_none_is_refused(bench, run):
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_an_unsigned_seal_shows_changes_of_who_forgot_it_and_claims_no_more(bench, run, attack):
     assert bench("seal", "one")[0] == 0
-    status, out, _ = bench("show", "one", "--verify")
-    assert status == 0
-    assert "not signed: who can write the folder can write such a seal" in out
-    assert NOTHING_OUTSIDE in out
+    printed(
+        bench("show", "one", "--verify"),
+        "not signed: who can write the folder can write such a seal",
+        NOTHING_OUTSIDE,
+    )
     attack(run)
-    status, out, _ = bench("show", "one", "--verify")
-    assert status == 1
-    assert "the record is not what was sealed" in out
-    status, _, err = bench("seal", "one")
-    assert status == 2
-    assert "it is not sealed anew" in err
+    printed(bench("show", "one", "--verify"), "the record is not what was sealed", status=1)
+    refused(bench("seal", "one"), "it is not sealed anew")
 
 
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_a_signed_seal_says_by_whom(bench, run, key, attack):
     assert bench("seal", "one", "--key", key)[0] == 0
     assert "whose that is, --key tells" in bench("show", "one", "--verify")[1]
-    status, out, _ = bench("show", "one", "--verify", "--key", f"{key}.pub")
-    assert status == 0
-    assert "signed with the key given" in out
+    out = printed(bench("show", "one", "--verify", "--key", f"{key}.pub"), "signed with the key given")
     assert NOTHING_OUTSIDE not in out
     attack(run)
     assert bench("show", "one", "--key", f"{key}.pub")[0] == 1
     (run / "seal.json").unlink()
     assert bench("seal", "one")[0] == (0 if attack is chain_anew else 2)  # its end is missing: it goes on
-    status, out, _ = bench("show", "one", "--key", f"{key}.pub")
-    assert status == 1
+    out = printed(bench("show", "one", "--key", f"{key}.pub"), status=1)
     assert "the key given says nothing" in out or "no seal that a key" in out
 
 
 def test_another_key_and_a_changed_seal_are_told(bench, run, key):
     assert bench("key", "keys/other.pem")[0] == 0
     assert bench("seal", "one", "--key", "keys/other.pem")[0] == 0
-    status, out, _ = bench("show", "one", "--key", f"{key}.pub")
-    assert status == 1
-    assert "signed with another key than the one given" in out
+    printed(
+        bench("show", "one", "--key", f"{key}.pub"), "signed with another key than the one given", status=1
+    )
     seal = json.loads((run / "seal.json").read_text())
     seal["sealed"] = "2020-01-01T00:00:00+00:00"
     (run / "seal.json").write_text(json.dumps(seal))
-    status, out, _ = bench("show", "one", "--key", "keys/other.pem.pub")
-    assert status == 1
-    assert "the signature is not one of this seal" in out
+    printed(
+        bench("show", "one", "--key", "keys/other.pem.pub"), "the signature is not one of this seal", status=1
+    )
 
 
 @pytest.mark.parametrize(
@@ -136,16 +123,12 @@ def test_another_key_and_a_changed_seal_are_told(bench, run, key):
 )
 def test_a_damaged_seal_is_told(bench, run, text):
     (run / "seal.json").write_text(text)
-    status, out, _ = bench("show", "one", "--verify")
-    assert status == 1
-    assert "seal.json: damaged, not a seal" in out
+    printed(bench("show", "one", "--verify"), "seal.json: damaged, not a seal", status=1)
 
 
 def test_a_run_that_has_not_ended_is_not_sealed(bench):
     shutil.copytree(RECORDS / "interrupted", "runs/open")
-    status, _, err = bench("seal", "open")
-    assert status == 2
-    assert "only a run that has ended can be sealed, and this one is interrupted" in err
+    refused(bench("seal", "open"), "only a run that has ended can be sealed, and this one is interrupted")
     assert not Path("runs/open/seal.json").exists()
 
 
@@ -168,9 +151,7 @@ def test_a_key_is_for_its_owner_alone_and_never_written_over(bench, key):
 )
 def test_a_key_that_others_may_use_is_refused(bench, run, key, name, mode, words):
     Path(name).chmod(mode)
-    status, _, err = bench("seal", "one", "--key", key)
-    assert status == 2
-    assert words in err
+    refused(bench("seal", "one", "--key", key), words)
     assert not (run / "seal.json").exists()
 
 
@@ -205,13 +186,12 @@ def test_a_time_stamp_says_not_later_than_when(bench, run, key):
     ((kind, _),) = authority.requests
     assert kind == "application/timestamp-query"
     assert "who stands for it, --authority FILE tells" in bench("show", "one", "--verify")[1]
-    status, out, _ = bench("show", "one", "--verify", "--authority", "authority.pem")
-    assert status == 0
-    assert "the record is not later than 2026-03-01T12:00:00+00:00" in out
+    out = printed(
+        bench("show", "one", "--verify", "--authority", "authority.pem"),
+        "the record is not later than 2026-03-01T12:00:00+00:00",
+    )
     assert NOTHING_OUTSIDE not in out
-    status, out, _ = bench("show", "one", "--authority", "other.pem")
-    assert status == 1
-    assert "not by the authority in other.pem" in out
+    printed(bench("show", "one", "--authority", "other.pem"), "not by the authority in other.pem", status=1)
     assert len(authority.requests) == 1  # to verify asks nobody
 
 
@@ -222,9 +202,7 @@ def test_a_time_stamp_of_something_else_is_told(bench, run, key):
     bench("seal", "one", "--key", key)
     seal = json.loads((run / "seal.json").read_text())
     (run / "seal.json").write_text(json.dumps({**seal, "time_stamp": stamp}))
-    status, out, _ = bench("show", "one", "--verify")
-    assert status == 1
-    assert "its time stamp is not one of this seal" in out
+    printed(bench("show", "one", "--verify"), "its time stamp is not one of this seal", status=1)
 
 
 def of_before(authority):

@@ -14,13 +14,13 @@ from typing import Any
 
 import pytest
 
-from bench.cli.app import main
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.model import ForwardModel
 from bench.run.assembly.served import served_bench
 from sim.wires.server import TERMINALS
 from sim.world.clock import ScaledClock
+from tests.support.commands import refused
 from tests.support.patience import PATIENCE_S, wait_for
 
 
@@ -42,14 +42,6 @@ def ask(address: str, *lines: str) -> list[str]:
 def control(told: Any, line: str) -> dict[str, Any]:
     reply: dict[str, Any] = json.loads(ask(told.control, line)[0])
     return reply
-
-
-def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[Any, str, str]:
-    with pytest.raises(SystemExit) as exit_:
-        main(list(arguments))
-    out, err = capsys.readouterr()
-    assert "Traceback" not in err
-    return exit_.value.code, out, err
 
 
 # --- the program ------------------------------------------------------------------------------------
@@ -86,14 +78,11 @@ def test_it_serves_until_a_signal_and_ends_with_0(tmp_path: Path, number: int) -
         process.wait()
 
 
-def test_a_taken_port_is_one_sentence_and_status_2(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_taken_port_is_one_sentence_and_status_2(bench: Any) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        status, _, err = run(capsys, "simulate", "--port", str(port), "--no-pty")
-    assert status == 2
-    assert len(err.splitlines()) == 1
-    assert f"port {port} of 127.0.0.1 cannot be served" in err
-    assert "voltmeter.x" in err
+        told = bench("simulate", "--port", str(port), "--no-pty")
+    refused(told, f"port {port} of 127.0.0.1 cannot be served", "voltmeter.x")
 
 
 @pytest.mark.parametrize(
@@ -109,13 +98,8 @@ def test_a_taken_port_is_one_sentence_and_status_2(capsys: pytest.CaptureFixture
         (["--ready-file", "no/such/folder/ready.json", "--no-pty"], "cannot be written"),
     ],
 )
-def test_mistakes_are_one_sentence(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], says: str
-) -> None:
-    status, _, err = run(capsys, "simulate", *arguments)
-    assert status == 2
-    assert len(err.splitlines()) == 1
-    assert says in err
+def test_mistakes_are_one_sentence(bench: Any, arguments: list[str], says: str) -> None:
+    refused(bench("simulate", *arguments), says)
 
 
 # --- what is served ---------------------------------------------------------------------------------
@@ -233,14 +217,12 @@ def test_faults_through_the_control() -> None:
         assert ask(x, "*IDN?") != [""]
 
 
-def test_the_client_command_prints_the_answer_or_fails(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_client_command_prints_the_answer_or_fails(bench: Any) -> None:
     with serving(with_terminals=False) as told:
-        status, out, err = run(capsys, "simulate", "--control", told.control, "turn 30 deg")
+        status, out, err = bench("simulate", "--control", told.control, "turn 30 deg")
         assert (status, err) == (0, "")
         assert json.loads(out)["scale_angle_deg"] == pytest.approx(30.0)
-        status, _, err = run(capsys, "simulate", "--control", told.control, "turn around")
-        assert status == 2
-        assert "expected a number" in err
+        refused(bench("simulate", "--control", told.control, "turn around"), "expected a number")
 
 
 def test_the_control_takes_several_clients_at_once() -> None:

@@ -1,14 +1,18 @@
-"""bench compensate, and the note of bench calibrate that leads to it."""
+"""`bench compensate` and the note of `bench calibrate` that leads to it; `bench tumble` of turns."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import write_csv
+from tests.support.commands import printed, refused
 from tests.support.paper_bench import TRUTH
+from tests.support.schemas import keeps_to
 from tests.support.thermal_bench import coefficients, simulate, truth
+from tests.support.tumble_bench import Terms, tumble
 
 SEED = 5
 
@@ -57,9 +61,7 @@ def test_a_curve_that_is_no_polynomial_is_told_and_not_accepted(bench, polynomia
     table = simulate(np.random.default_rng([SEED, 2]), polynomials)
     table.signal[table.series == 8] += 1e-3
     write_csv(table, tmp_path / "odd.csv")
-    status, out, _ = bench("compensate", "odd.csv")
-    assert status == 1
-    assert "THE CURVES ARE NOT THESE POLYNOMIALS" in out
+    printed(bench("compensate", "odd.csv"), "THE CURVES ARE NOT THESE POLYNOMIALS", status=1)
 
 
 @pytest.mark.parametrize(
@@ -71,10 +73,7 @@ def test_a_curve_that_is_no_polynomial_is_told_and_not_accepted(bench, polynomia
     ],
 )
 def test_mistakes_are_one_line_each(bench, readings, options, told):
-    status, _, err = bench("compensate", readings, *options)
-    assert status == 2
-    assert told in err
-    assert err.count("\n") == 1
+    refused(bench("compensate", readings, *options), told)
 
 
 @pytest.mark.slow
@@ -91,3 +90,50 @@ def test_calibrate_points_to_compensate_where_temperatures_are_mixed(bench, poly
     one = simulate(np.random.default_rng([SEED, 3]), TRUTH[:, None], cycle=(23.0,))
     write_csv(one, tmp_path / "one.csv")
     assert "bench compensate" not in bench("calibrate", "one.csv")[1]
+
+
+SEED_OF_TURNS = 8
+TERMS = Terms(K2=np.array([200e-6, 0.0, 0.0]))
+
+
+@pytest.fixture
+def turns(empty_folder):
+    for points in (8, 12):
+        write_csv(
+            tumble(np.random.default_rng(SEED_OF_TURNS), 1e-4, TERMS, points=points),
+            Path(f"turn-{points}.csv"),
+        )
+
+
+def test_a_square_is_found_and_what_is_not_separable_is_said(bench, turns):
+    status, out, err = bench("tumble", "turn-8.csv", "--json", "r.json")
+    assert (status, err) == (0, "")
+    assert out.splitlines()[0].startswith("bench file: paper-stand")
+    result = json.loads(Path("r.json").read_text(encoding="utf-8"))
+    keeps_to("tumble", result)
+    assert result == json.loads(Path("tumble/turn-8.json").read_text(encoding="utf-8"))
+    square = result["axes"]["x"]["quantities"]["K2"]
+    assert abs(square["value"] - 200e-6) < 4 * square["u"] < 100e-6
+    assert [axis["rank"] for axis in result["axes"].values()] == [6, 6, 6]
+    assert out.count("Koq cannot be separated") == 3
+    assert "x  K3 + 0.586 Koq" in out
+
+
+def test_twelve_points_separate_and_say_how_little(bench, turns):
+    out = bench("tumble", "turn-12.csv", "--strict")[1]
+    assert out.count("7 of 7 terms are determined") == 3
+    assert out.count("hang together (r = -0.99") == 3
+    assert "taken as zero in channel x: 1 µg/g² of Kpp moves K0 by +0.50" in out
+    assert "u, readings" in out
+
+
+def test_terms_that_are_left_out_show_as_lack_of_fit(bench, turns):
+    status, out, _ = bench("tumble", "turn-12.csv", "--terms", "K3,Koq", "--strict")
+    assert status == 1
+    # a prior of K2 is in the uncertainty, one of Kpp is not
+    assert "not fitted, but in u, in channel x: 1 µg/g² of K2 moves" in out
+    assert "taken as zero in channel x: 1 µg/g² of Kpp moves" in out
+
+
+def test_a_mistake_is_one_line(bench, turns):
+    refused(bench("tumble", "turn-12.csv", "--terms", "K2,K9"), "terms K9: each once, of K2, K3, Koq")

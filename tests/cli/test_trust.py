@@ -12,6 +12,7 @@ import pytest
 
 from bench.readings.csv import write_csv
 from bench.run.folder import Run
+from tests.support.commands import printed, refused
 
 
 @pytest.fixture
@@ -28,9 +29,7 @@ def test_a_verification_point_that_is_missing_is_not_passed_over(bench, measured
     lines[-2] = re.sub(r",-?\d+\.\d+,", ",9.9E37,", lines[-2], count=1)
     lines[-2] = ",".join([*lines[-2].split(",")[:10], "9.9E37", *lines[-2].split(",")[11:]])
     Path("v.csv").write_text("\n".join(lines))
-    status, out, _ = bench("verify", "v.csv", "--skip-bad-rows")
-    assert status == 1
-    assert "1 verification points are missing" in out
+    printed(bench("verify", "v.csv", "--skip-bad-rows"), "1 verification points are missing", status=1)
     assert json.loads(bench("verify", "v.csv", "--skip-bad-rows", "--json", "-")[1])["missing"] == 1
 
 
@@ -47,10 +46,12 @@ def test_a_run_that_stopped_before_its_last_points_is_not_verified(bench, monkey
 
     monkeypatch.setattr(Recorder, "emit", emit)
     assert bench("run", "quick", "--dry-run", "--name", "part")[0] == 2
-    status, out, _ = bench("verify", "part")
-    assert status == 1
-    assert "2 verification points are missing" in out
-    assert "the run is interrupted: 20 of 22 planned readings were taken" in out
+    printed(
+        bench("verify", "part"),
+        "2 verification points are missing",
+        "the run is interrupted: 20 of 22 planned readings were taken",
+        status=1,
+    )
     assert bench("report", "part")[0] == 1
     assert "20 of 22 planned readings" in Path("runs/part/report.html").read_text(encoding="utf-8")
 
@@ -62,10 +63,7 @@ def test_coefficients_of_another_place_are_compared_with_the_gravity_here(bench,
     scale = 9.7803 / 9.81
     bias = np.array([0.071469, -0.196485, -0.411789])
     write_csv(replace(measured, signal=(measured.signal - bias) * scale + bias), Path("equator.csv"))
-    status, out, _ = bench(
-        "verify", "equator.csv", "--coefficients", "c.json", "--g", "9.7803", "--json", "-"
-    )
-    assert status == 0
+    out = printed(bench("verify", "equator.csv", "--coefficients", "c.json", "--g", "9.7803", "--json", "-"))
     assert abs(json.loads(out)["points"][0]["delta_g"]) < 2e-4
     assert bench("verify", "equator.csv", "--coefficients", "c.json", "--g", "9.81")[0] == 1
 
@@ -77,12 +75,9 @@ def test_swapped_and_reversed_wires_are_named(bench, measured):
         ("swapped", "are two channels or installations swapped?"),
         ("reversed", "wires reversed?"),
     ):
-        status, out, _ = bench("calibrate", f"{file}.csv", "--strict")
-        assert status == 1
-        assert says in out
+        printed(bench("calibrate", f"{file}.csv", "--strict"), says, status=1)
         assert bench("calibrate", f"{file}.csv")[0] == 0
-    status, _, err = bench("calibrate", "swapped.csv", "--json", "-")
-    assert "swapped?" in err  # standard output is JSON alone
+    assert "swapped?" in bench("calibrate", "swapped.csv", "--json", "-")[2]  # standard output is JSON alone
 
 
 def test_readings_rounded_coarsely_do_not_make_a_small_uncertainty(bench, measured):
@@ -112,8 +107,7 @@ def test_the_bench_file_of_the_run_is_used_unless_another_is_typed(bench, measur
 def test_one_damaged_run_does_not_hide_the_others(bench, measured, manifest):
     Path("runs/broken").mkdir()
     Path("runs/broken/run.json").write_text(manifest)
-    status, out, _ = bench("runs")
-    assert status == 0
+    out = printed(bench("runs"))
     assert re.search(r"good .*finished", out)
     assert "broken" in out
     assert bench("calibrate", "nosuch")[0] == 2
@@ -131,20 +125,11 @@ def test_readings_that_come_through_a_pipe_are_kept_whole(bench, measured):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
-def test_a_pipe_to_which_nobody_writes_is_not_waited_for(bench, measured):
-    write_csv(measured, Path("r.csv"))
+def test_a_pipe_to_which_nobody_writes_is_named(bench):
+    """That no command waits for one, `test_special_files` shows."""
     os.mkfifo("pipe.csv")
-    for command in (
-        ("import", "pipe.csv"),
-        ("calibrate", "pipe.csv"),
-        ("stability", "pipe.csv"),
-        ("verify", "r.csv", "--coefficients", "pipe.csv"),
-        ("compare", "pipe.csv", "pipe.csv"),
-    ):
-        status, _, err = bench(*command)
-        assert status == 2, command
-        assert len(err.splitlines()) == 1
-        assert "pipe.csv: cannot be read (this is a pipe to which nobody writes)" in err or "no such" in err
+    told = bench("import", "pipe.csv", "--name", "piped")
+    refused(told, "pipe.csv: cannot be read (this is a pipe to which nobody writes)")
 
 
 def test_an_imported_run_is_not_taken_for_an_interrupted_one(bench, measured):
@@ -172,10 +157,7 @@ def test_arguments_that_make_no_sense_are_refused_before_anything_is_written(
     bench, measured, arguments, says
 ):
     before = sorted(Path().rglob("*"))
-    status, out, err = bench(*arguments)
-    assert status == 2
-    assert out == ""
-    assert says in err
+    refused(bench(*arguments), says)
     assert sorted(Path().rglob("*")) == before
 
 
@@ -183,9 +165,7 @@ def test_coefficients_that_are_no_numbers_are_refused(bench, measured):
     good = json.loads(Path("runs/good/calibrate.json").read_text())
     good["coefficients"]["Kxx"]["value"] = float("nan")
     Path("nan.json").write_text(json.dumps(good))
-    status, _, err = bench("verify", "good", "--coefficients", "nan.json")
-    assert status == 2
-    assert "no number" in err
+    refused(bench("verify", "good", "--coefficients", "nan.json"), "no number")
 
 
 def test_coefficients_of_a_simulation_are_told_from_those_of_a_block(bench, measured):
@@ -196,9 +176,7 @@ def test_coefficients_of_a_simulation_are_told_from_those_of_a_block(bench, meas
 
 def test_a_dead_channel_is_named(bench, measured):
     write_csv(replace(measured, signal=measured.signal * [1, 1, 0]), Path("dead.csv"))
-    status, _, err = bench("calibrate", "dead.csv")
-    assert status == 2
-    assert "channel z is the same in every reading" in err
+    refused(bench("calibrate", "dead.csv"), "channel z is the same in every reading")
 
 
 def test_the_closed_form_takes_360_degrees_written_as_0(bench, measured):
@@ -226,7 +204,4 @@ def test_debug_shows_the_traceback_and_keeps_the_status(bench):
 
 def test_a_runs_folder_that_cannot_be_written_is_one_sentence(bench):
     Path("runs").write_text("in the way")
-    status, _, err = bench("run", "quick", "--dry-run")
-    assert status == 2
-    assert "cannot be written" in err
-    assert len(err.splitlines()) == 1
+    refused(bench("run", "quick", "--dry-run"), "cannot be written")

@@ -31,11 +31,6 @@ steps:
 GOAL = "vector=8e-5"
 
 
-def without_figures(name, inches, draw):
-    """In place of what draws: it costs more than all else."""
-    return '<svg viewBox="0 0 1 1"></svg>'
-
-
 def main(arguments: list[str]) -> int:
     with pytest.raises(SystemExit) as end:
         command_line(arguments)
@@ -50,7 +45,6 @@ def ended(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.delenv("BENCH_FILE", raising=False)
-        patch.setattr("bench.results.plots._written", without_figures)
         status = main(["run", "few.yaml", "--dry-run", "--name", "whole", "--until", GOAL])
     return folder, status
 
@@ -89,7 +83,6 @@ def test_a_run_ends_when_it_is_good_enough_and_its_calibration_states_that(ended
 def test_killed_and_resumed_it_chooses_and_reads_the_same(ended, part, monkeypatch):
     folder, _ = ended
     monkeypatch.chdir(folder)
-    monkeypatch.setattr("bench.results.plots._written", without_figures)
     whole, killed = folder / "runs" / "whole", folder / "runs" / f"killed{part:g}"
     shutil.copytree(whole, killed)
     every = (killed / "events.jsonl").read_text().splitlines(keepends=True)

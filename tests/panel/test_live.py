@@ -1,5 +1,6 @@
-"""The live page and what its script is sent: told as the record tells it, to who is signed in alone."""
+"""A run followed while its record grows, and the live page: half a line is nothing yet."""
 
+import asyncio
 import json
 import shutil
 from pathlib import Path
@@ -9,9 +10,12 @@ from starlette.testclient import TestClient
 
 from bench.panel.access import STATE, Access, Role, Settings
 from bench.panel.app import make_app
-from bench.run.events import EVENTS, MANIFEST
+from bench.panel.run_events import Tail
+from bench.panel.stream import Follower, Followers
+from bench.run.events import EVENTS, MANIFEST, RecordError
 from bench.run.record import Record
 from drivers.clock import utc_now
+from sim.world.clock import VirtualClock
 
 RECORDS = Path(__file__).parents[1] / "data" / "records"
 HOME = "http://127.0.0.1:8741"
@@ -117,3 +121,218 @@ def test_a_stream_of_a_damaged_record_says_so_as_an_event(client, runs):
     assert reply.status_code == 200
     assert reply.text.startswith("event: trouble\n")
     assert "line 1: cannot be believed" in reply.text
+
+
+MOMENTS = ("now",)
+
+
+@pytest.fixture
+def lines():
+    return (RECORDS / "finished" / EVENTS).read_bytes().splitlines(keepends=True)
+
+
+@pytest.fixture
+def growing(tmp_path):
+    """The folder of a run of which nothing is recorded yet."""
+    folder = tmp_path / "run"
+    shutil.copytree(RECORDS / "finished", folder)
+    (folder / EVENTS).write_bytes(b"")
+    return folder
+
+
+def append(folder, data):
+    with (folder / EVENTS).open("ab") as file:
+        file.write(data)
+
+
+def all_of(follower):
+    follower.look()
+    while follower.judge():
+        pass
+    state = follower.state()
+    return {key: value for key, value in state.items() if key not in MOMENTS}, follower.points()
+
+
+def test_a_line_counts_once_it_is_whole(growing, lines):
+    tail = Tail(growing)
+    append(growing, lines[0] + lines[1][:40])
+    assert [event.number for event in tail.new()] == [1]
+    assert list(tail.new()) == []
+    append(growing, lines[1][40:] + lines[2])
+    assert [event.number for event in tail.new()] == [2, 3]
+
+
+def test_a_torn_line_that_is_cut_off_was_nothing(growing, lines):
+    tail = Tail(growing)
+    append(growing, lines[0] + lines[1][:40])
+    list(tail.new())
+    (growing / EVENTS).write_bytes(lines[0])
+    append(growing, lines[1])
+    assert [event.number for event in tail.new()] == [2]
+
+
+@pytest.mark.parametrize("spoilt", [b"", b"{}\n", b"[1]\n", b"not JSON\n"])
+def test_a_record_that_has_not_only_grown_is_not_followed(growing, lines, spoilt):
+    tail = Tail(growing)
+    append(growing, b"".join(lines[:3]))
+    list(tail.new())
+    (growing / EVENTS).write_bytes(lines[0] if not spoilt else b"".join(lines[:3]) + spoilt)
+    with pytest.raises(RecordError, match=r"shorter|cannot be believed"):
+        list(tail.new())
+
+
+def test_followed_line_by_line_it_is_what_it_is_at_once(growing, lines):
+    follower = Follower(growing)
+    for line in lines:
+        append(growing, line)
+        follower.look()
+        follower.judge()
+    little_by_little, points = all_of(follower)
+    at_once, all_points = all_of(Follower(growing))
+    assert little_by_little == at_once
+    assert points == all_points
+    assert at_once["events"] == len(lines)
+    assert (at_once["state"], at_once["alive"]) == ("finished", False)
+    assert at_once["where"]["reading"] == at_once["where"]["readings"] == 22
+
+
+def test_where_a_run_is_while_it_waits_for_the_signals_to_settle(growing, lines):
+    number, begun = next(
+        (n, json.loads(line))
+        for n, line in enumerate(lines)
+        if b'"step_started"' in line and b"0010/wait" in line
+    )
+    append(growing, b"".join(lines[: number + 1]))
+    told, _ = all_of(Follower(growing))
+    assert begun["step"] == told["where"]["step"] - 1
+    assert (told["where"]["installation"], told["where"]["pass"], told["where"]["point"]) == ("1", 1, 3)
+    assert told["soak"]["words"] == "settling"
+    assert told["angle"]["commanded"] == "90°00′00″"
+    assert told["angle"]["read_deg"] == pytest.approx(90.0, abs=0.01)
+    assert told["where"]["left_s"] > 3600.0
+
+
+def test_a_run_without_a_program_says_so_and_one_that_is_written_does_not(growing, lines):
+    append(growing, b"".join(lines[:10]))
+    told, _ = all_of(Follower(growing))
+    assert not told["alive"]
+    assert "No program carries this run out" in told["doing"]
+    record, _ = Record.reopen(growing, utc_now)
+    try:
+        told, _ = all_of(Follower(growing))
+    finally:
+        record.close()
+    assert told["alive"]
+    assert "No program" not in told["doing"]
+
+
+def test_most_residuals_of_a_good_run_lie_within_their_bands(growing, lines):
+    append(growing, b"".join(lines))
+    _, points = all_of(Follower(growing))
+    sigma = [abs(one) for point in points.points for one in point["sigma"]]
+    assert len(points.points) == 22
+    assert sum(one < 2.0 for one in sigma) / len(sigma) > 0.9
+    assert points.since(points)["points"] == ()
+
+
+def test_all_who_look_share_a_follower_and_hear_what_is_new(growing, lines):
+    append(growing, b"".join(lines[:9]))
+
+    async def look():
+        followers = Followers(lambda folder: {"control": {"holder": "anna"}})
+        streams = [followers.stream(growing) for _ in range(3)]
+        first = [await anext(stream) for stream in streams]
+        assert len(followers._shared) == 1
+        append(growing, b"".join(lines[9:12]))
+        second = [await next_state(stream) for stream in streams]
+        followers.close()
+        return first, second
+
+    async def next_state(stream):
+        async for event in stream:
+            if event.startswith(b"event: state"):
+                return event
+        return None
+
+    first, second = asyncio.run(look())
+    assert len(set(first)) == len(set(second)) == 1
+    told = json.loads(second[0].split(b"data: ", 1)[1])
+    assert told["events"] == 12
+    assert told["control"] == {"holder": "anna"}
+
+
+def test_a_record_that_cannot_be_read_is_said_to_who_looks(growing, lines):
+    append(growing, lines[0])
+
+    async def look():
+        followers = Followers()
+        stream = followers.stream(growing)
+        await anext(stream)
+        append(growing, b"no event\n")
+        told = [event async for event in stream]
+        with pytest.raises(RecordError, match="line 2"):
+            await followers.state(growing)
+        followers.close()
+        return told
+
+    told = asyncio.run(look())
+    assert told[-1].startswith(b"event: trouble")
+    assert b"line 2" in told[-1]
+
+
+def test_a_question_of_a_program_that_is_gone_is_none_even_when_another_goes_on(growing, lines):
+    append(growing, b"".join(lines[:40]))
+    asked = {"id": "1", "kind": "confirm", "text": "Done?", "action": {"do": "answer"}}
+    clock = VirtualClock()
+    record, _ = Record.reopen(growing, utc_now)
+    record.append("asked", 1.0, **asked)
+    follower = Follower(growing, clock)
+    follower.look()
+    assert follower.prompt is not None
+    record.close()
+    clock.sleep(2.0)
+    follower.look()
+    assert follower.prompt is None
+    record, _ = Record.reopen(growing, utc_now)
+    clock.sleep(2.0)
+    follower.look()
+    assert follower.prompt is None
+    record.append("run_resumed", 2.0, step=1, instruments={})
+    record.append("asked", 2.0, **{**asked, "id": "2"})
+    follower.look()
+    assert follower.prompt is not None
+    assert follower.prompt.prompt.id == "2"
+    record.close()
+
+
+def test_a_question_that_is_asked_before_its_program_was_looked_for_stands(growing, lines):
+    """Whether somebody writes is looked for once a second: another program may have asked by then."""
+    append(growing, b"".join(lines[:40]))
+    clock = VirtualClock()
+    follower = Follower(growing, clock)
+    follower.look()
+    record, _ = Record.reopen(growing, utc_now)
+    record.append("run_resumed", 2.0, step=1, instruments={})
+    record.append("asked", 2.0, id="1", kind="confirm", text="Done?", action={"do": "answer"})
+    clock.sleep(0.1)
+    follower.look()
+    assert follower.prompt is not None
+    clock.sleep(2.0)
+    follower.look()
+    assert follower.prompt is not None
+    record.close()
+
+
+def test_of_a_long_record_the_beginnings_of_old_steps_are_passed_over_and_nothing_is_told_otherwise(
+    growing, lines, monkeypatch
+):
+    append(growing, b"".join(lines[:100]))
+    whole, points = all_of(Follower(growing))
+    monkeypatch.setattr("bench.panel.run_events.KEPT_LINES", 8)
+    monkeypatch.setattr("bench.panel.run_events.KEPT_BYTES", 12_000)
+    numbers = [event.number for event in Tail(growing).new()]
+    assert len(numbers) < 80
+    assert numbers[-20:] == list(range(81, 101))
+    skimmed, same_points = all_of(Follower(growing))
+    assert skimmed == whole
+    assert same_points == points

@@ -57,6 +57,7 @@ def test_the_verdict_stands_with_its_uncertainty_limit_and_risk(anna, judged):
     assert "Simulated instruments" in said
 
 
+@pytest.mark.figures
 def test_report_and_figures_stand_apart_and_nothing_of_them_acts(anna, judged):
     report = anna.get("/runs/run/report")
     assert report.content == (judged / "report.html").read_bytes()

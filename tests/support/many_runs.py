@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ def runs_in(folder: Path, count: int, *, stored: bool = True) -> list[Path]:
     return made
 
 
+@cache
 def results_of(run: Path) -> dict[str, Any]:
     """Return what calibrate and verify find in a run, by the name of the file."""
     (source,) = load_sources(Request([str(run)], run.parent))
