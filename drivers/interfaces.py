@@ -74,6 +74,10 @@ Direction = Literal[1, -1]
 """Approach to an angle: +1 rising, -1 falling."""
 
 
+NO_SERIAL: Final = frozenset({"", "0", "-"})
+"""Answers of instruments without a serial number: every 34401A answers 0."""
+
+
 @dataclass(frozen=True, slots=True)
 class Identity:
     """Who an instrument says it is, for the record: `{"maker": "HEWLETT-PACKARD", "model": "34401A", …}`."""

@@ -77,6 +77,25 @@ def uncollected() -> Iterator[None]:
             gc.enable()
 
 
+# --- packages ----------------------------------------------------------------------------------------
+
+PACKAGES: Final = ("triaxial-bench", "numpy", "scipy", "pyvisa", "pyvisa-py", "pyserial")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that a result depends on."""
+    import platform
+    from importlib import metadata
+
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
 # --- packages that come with extras -----------------------------------------------------------------
 # An import of one stands bare where it is needed; `bench.services.explained` tells of a failure.
 

@@ -45,7 +45,12 @@ class ResultModel(BaseModel):
     """Base of results and their parts: frozen, its members named in full, no NaN or infinity."""
 
     model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True, from_attributes=True
+        frozen=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        populate_by_name=True,
+        from_attributes=True,
+        defer_build=True,
     )
 
     @classmethod

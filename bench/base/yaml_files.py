@@ -393,7 +393,9 @@ class FileMistakes(Exception):
 class FileModel(BaseModel):
     """Base of everything that a file may say: frozen, an unknown key is a mistake, no NaN or infinity."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, str_min_length=1)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, str_min_length=1, defer_build=True
+    )
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:

@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
+from bench.base.computing import versions
 from bench.calibration.estimators import GLS, find_estimator
 from bench.config.bench_file.file import load_bench
 from bench.config.formulas import files_of_environment
@@ -15,7 +16,6 @@ from bench.config.shipped import find_bench
 from bench.model.geometry import COEFFICIENTS
 from bench.run.events import sha256
 from bench.services.errors import Refused
-from bench.services.records import versions
 from bench.services.requests.documents import Batch, BatchCalibrate, BatchDiagnose, BatchReport
 from bench.services.source import Request, check_gravity
 from bench.services.verification import VerdictOptions

@@ -32,10 +32,10 @@ from bench.run.events import (
     state_after_one,
 )
 from bench.run.folder import BENCH, VERIFY, Run
-from bench.run.instruments import NO_SERIAL
 from bench.services.bench_selection import instrument_name
 from bench.services.coefficients import coefficients_of
 from bench.services.errors import Refused
+from drivers.interfaces import NO_SERIAL
 
 Row = dict[str, Any]
 

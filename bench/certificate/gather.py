@@ -45,7 +45,6 @@ from bench.run.seal import read_seal, seal_of
 from bench.services.bench_selection import origin_beside
 from bench.services.calibration import CalibrationResult, calibration_of, verification_of
 from bench.services.errors import Refused
-from bench.services.records import record_head
 from bench.services.source import Request, Source, load_sources
 from bench.services.verification import NOTHING_ASKED, VerdictOptions, VerificationResult
 
@@ -211,7 +210,7 @@ def _record(run: Run) -> RunReference:
     if seal is not None and (wrong := seal.differences(run)):
         raise Refused(f"{run.name}: {'; '.join(wrong)}; no certificate is made of it")
     stated = seal_of(run, "") if seal is None else seal
-    head = record_head(run)
+    head = run.record_head
     return RunReference(
         run.name,
         int(head["events"]),

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 from bench.cli import printing
 from bench.cli.options import JsonOption, app, requested
-from bench.cli.panel import link_to
 from bench.services.errors import Refused
-from bench.services.requests.evaluation import Diagnose
 from bench.services.requests.measuring import ResumeRequest, RunRequest
 from bench.services.requests.records import AbortRun, ControlRun
 from bench.services.requests.shared import runs_folder
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
 
     from bench.diagnosis.next_measurement import Proposal
@@ -54,7 +54,7 @@ def _measured(request: RunRequest, json: str | None) -> tuple[Run, int]:
             out.print(f"bench file: {new.manifest['bench']}, {new.manifest['bench_why']}")
         printing.notes_on(out, new.notes)
         if request.panel:
-            out.print(f"panel: {link_to(new.folder.name, new.folder.parent)}", soft_wrap=True)
+            _print_link(new.folder, out)
 
     with started(request, out, announce) as (done, interrupts):
         return done, _results(done, interrupts, json, out)
@@ -70,10 +70,16 @@ def resume(request: ResumeRequest, json: JsonOption = None) -> int:
 
     def announce(found: Run) -> None:
         if request.panel:
-            out.print(f"panel: {link_to(found.name, found.folder.parent)}", soft_wrap=True)
+            _print_link(found.folder, out)
 
     with resumed(request, out, announce) as (done, interrupts):
         return _results(done, interrupts, json, out)
+
+
+def _print_link(run: Path, out: Console) -> None:
+    from bench.cli.panel import link_to
+
+    out.print(f"panel: {link_to(run.name, run.parent)}", soft_wrap=True)
 
 
 def _results(run: Run, interrupts: Interrupts, json: str | None, out: Console) -> int:
@@ -187,6 +193,7 @@ def _diagnosed(runs: list[Run]) -> Proposal | None:
     The last run's folder keeps the JSON.
     """
     from bench.cli.evaluate import carried_out
+    from bench.services.requests.evaluation import Diagnose
     from bench.services.source import done
 
     request = Diagnose([str(run.folder) for run in runs], runs=runs[0].folder.parent)

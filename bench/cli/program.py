@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import signal
@@ -23,6 +24,7 @@ def main() -> None:
     those that come while that is told are not heard. What must be left safe hears signals by itself
     (`bench.run.interrupts`).
     """
+    gc.set_threshold(50_000, 20, 20)  # or a tenth of a short command is a search for garbage in its imports
     try:
         try:
             signal.signal(signal.SIGINT, _once)

@@ -104,6 +104,15 @@ class Run:
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return True
 
+    @property
+    def record_head(self) -> dict[str, str | int]:
+        """The number of events of the record, and the head of their chain, which identify the record.
+
+        The head is the SHA-256 of the last line, which contains the hash of the line before, and so on. A head
+        kept elsewhere, as in a result, shows whether any line was changed, removed or added since.
+        """
+        return {"events": len(self.history.events), "head": self.history.head}
+
     def trusted_history(self) -> History:
         """Return the history. Raises `RecordError` when a line or an input was changed."""
         if self.history.problems:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
 
 from bench.run.events import EventType
 from bench.run.person import RunControl, Stopped, agree
 from bench.run.power import UnitPower
 from drivers import interfaces
 from drivers.interfaces import (
+    NO_SERIAL,
     BenchError,
     DividingHead,
     Identity,
@@ -58,10 +58,6 @@ class Instruments:
         if failures:
             raise failures[0] if len(failures) == 1 else NotConnected(failures)
         return identities
-
-
-NO_SERIAL: Final = frozenset({"", "0", "-"})
-"""Answers of instruments without a serial number: every 34401A answers 0."""
 
 
 def same_serials(identities: Mapping[str, Identity]) -> list[str]:

@@ -18,7 +18,7 @@ from bench.results.parts import BenchPart
 from bench.run.events import sha256
 from bench.run.events import sha256 as sha256_of
 from bench.run.folder import BENCH, IMPORTED, LEARNED, Run
-from bench.run.instruments import NO_SERIAL
+from drivers.interfaces import NO_SERIAL
 
 FORMAT: Final = 1
 SUFFIX: Final = ".json"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from rich.console import Console
@@ -16,15 +16,12 @@ from bench.base.tables import as_html, as_text
 from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate as estimate
-from bench.calibration.conformity import DecisionRule
 from bench.calibration.estimators import CLOSED_FORM, GLS
 from bench.calibration.mistakes import implausible, refuse_mixed_units, sheet_of
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, CalibrationError
 from bench.calibration.temperature import separate_temperatures
 from bench.config.bench_file.learned import PriorFile, load_prior
 from bench.exchange.result import BlockResult
-from bench.history.measured import STANDARD_GRAVITY
-from bench.history.prior import CONFLICT_P, Prior, join
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.results.calibration import (
     PriorPart,
@@ -37,22 +34,22 @@ from bench.results.parts import coefficient_unit, named
 from bench.services.coefficients import Coefficients, block_result, read_coefficients, write_form
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_of
-from bench.services.records import record_head
-from bench.services.requests.evaluation import Calibrate, Verify
 from bench.services.source import Source, provenance
-from bench.services.verification import (
-    NOTHING_ASKED,
-    VerdictOptions,
-    VerificationResult,
-    judged,
-    own_judgement,
-)
+
+if TYPE_CHECKING:
+    from bench.calibration.conformity import DecisionRule
+    from bench.history.prior import Prior
+    from bench.services.requests.evaluation import Calibrate, Verify
+    from bench.services.verification import VerdictOptions, VerificationResult
 
 SEVERAL_TEMPERATURES: Final = 3
 
 
 def read_prior(path: Path) -> Prior:
     """Read a prior file. Raises `FileMistakes`, or `Refused` where its scale factors are per another g."""
+    from bench.history.measured import STANDARD_GRAVITY
+    from bench.history.prior import Prior
+
     file: PriorFile = load_prior(path)
     if file.per_g_m_s2 != STANDARD_GRAVITY:
         raise Refused(f"{path}: per_g_m_s2 is {file.per_g_m_s2:g}, expected {STANDARD_GRAVITY}")
@@ -83,6 +80,8 @@ def with_prior(
     Where readings and prior disagree the calibration stays as it was, and a note says so. Raises `Refused` for a
     prior of another type, signal or kind of instruments, or one that has the unit itself behind it.
     """
+    from bench.history.prior import CONFLICT_P, join
+
     prior = read_prior(path)
     _refuse_other(prior, found, source, path)
     alike = found.covariance - found.covariance_readings
@@ -250,7 +249,7 @@ class CalibrationResult:
         return calibrate_result(
             self.calibration,
             **source.made_from(),
-            **({} if source.run is None else {"record": record_head(source.run)}),
+            **({} if source.run is None else {"record": source.run.record_head}),
             **({} if self.prior is None else {"prior": self.prior}),
             meters=source.meters,
             notes=[*self._said, *source.readings.notes],
@@ -363,14 +362,16 @@ def _with_note_on_temperatures(source: Source) -> Source:
 def verification_of(
     source: Source,
     coefficients: Path | CalibrationResult | None = None,
-    asked: VerdictOptions = NOTHING_ASKED,
+    asked: VerdictOptions | None = None,
     agreed: DecisionRule | None = None,
 ) -> VerificationResult:
     """Verify a source with coefficients of a file, of a calibration at hand, or of its own readings.
 
     The decision rule is `agreed` where neither the source nor the caller states one.
     """
-    judgement = own_judgement(source, asked, agreed=agreed)
+    from bench.services.verification import NOTHING_ASKED, judged, own_judgement  # takes long to import
+
+    judgement = own_judgement(source, asked or NOTHING_ASKED, agreed=agreed)
     if coefficients is None:
         coefficients = calibration_of(source)
         source = coefficients.source
@@ -388,6 +389,8 @@ def verification_of(
 
 def verified(request: Verify, source: Source) -> VerificationResult:
     """Return the verification of a source as it was asked for. Raises as `verification_of`."""
+    from bench.services.verification import VerdictOptions
+
     given = request.coefficients
     if given is not None and not isinstance(given, CalibrationResult):
         given = Path(str(given))
@@ -395,7 +398,7 @@ def verified(request: Verify, source: Source) -> VerificationResult:
 
 
 def report_page(
-    result: CalibrationResult, asked: VerdictOptions = NOTHING_ASKED
+    result: CalibrationResult, asked: VerdictOptions | None = None
 ) -> tuple[str, VerificationResult | None]:
     """Verify, where there are verification points; return the page (HTML) and the verification in it."""
     from bench.results.page import ReportContent, render_report  # matplotlib is slow to import

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -15,12 +15,14 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.base.files import from_text, read_given, write_whole
 from bench.base.numbers import read_number
 from bench.base.text import shortened
-from bench.exchange.forms import FORMS, ExportForm
 from bench.exchange.result import BlockResult
-from bench.history.comparison import Snapshot
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.table import UNITS
 from bench.services.errors import Refused
+
+if TYPE_CHECKING:
+    from bench.exchange.forms import ExportForm
+    from bench.history.comparison import Snapshot
 
 DEFAULT_K: Final = 2.0
 """Coverage factor of a result that states none."""
@@ -304,6 +306,8 @@ def snapshots_in(path: Path) -> list[Snapshot]:
 
 
 def _snapshot(data: Any, name: str) -> Snapshot:
+    from bench.history.comparison import Snapshot
+
     found = coefficients_of(data, name)
     block = data.get("unit_under_test")
     if not isinstance(block, dict):
@@ -342,6 +346,8 @@ ALL: Final = "all"
 
 def forms_of(names: list[str]) -> list[ExportForm]:
     """Return the forms asked for, each once, in their order; "all" stands for all forms. Raises `Refused`."""
+    from bench.exchange.forms import FORMS
+
     strange = [name for name in names if name not in FORMS and name != ALL]
     if strange:
         known = ", ".join([*FORMS, ALL])
@@ -383,6 +389,8 @@ def write_form(
     result: BlockResult, path: Path, form: str, nominal: tuple[float, float, float] | None
 ) -> tuple[str, ...]:
     """Write one form to a file; return what it cannot hold. Raises `Refused`, `OSError`."""
+    from bench.exchange.forms import FORMS
+
     if form not in FORMS:
         raise Refused(f"{form!r}: the forms are {', '.join(FORMS)}")
     chosen = FORMS[form]

@@ -7,26 +7,27 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from bench.base.computing import versions
 from bench.base.files import read_given, read_regular, to_text, write_whole
 from bench.calibration import CalibrationError
 from bench.readings.csv import format_csv, read_csv
-from bench.results.control_chart import CheckBlockChart
-from bench.run.events import Manifest
+from bench.run.events import Manifest, RecordError
 from bench.run.folder import BENCH, IMPORTED, RESULTS, Run, checked_name
 from bench.run.interrupts import Interrupts
 from bench.run.record import Record
 from bench.services.bench_selection import SUFFIX, BenchTaken, bench_of, is_told, origin_beside, own_bench
 from bench.services.calibration import CalibrationResult, calibration_of, report_page
 from bench.services.errors import Refused
-from bench.services.records import versions
 from bench.services.requests import records as asked
 from bench.services.requests.shared import runs_folder
 from bench.services.source import Request, Source, load_sources
-from bench.services.until import is_short
 from bench.services.verification import NOTHING_ASKED, VerificationResult
 from drivers.clock import utc_now
+
+if TYPE_CHECKING:
+    from bench.results.control_chart import CheckBlockChart
 
 _MADE: Final = ("calibrate.json", "verify.json", "report.html", "chart.json")
 """Names of the result files that may be made from a finished run."""
@@ -102,9 +103,28 @@ def conclude(run: Run) -> Conclusion:
             f"{error.filename}: cannot be written ({error.strerror}); the run is finished and kept: free the disk, "
             f"then 'bench resume {run.name}' makes its results"
         ) from error
-    from bench.services.bodies import told_in_words  # takes long to import
+    return Conclusion(run, source, _looks(run), _is_short(run), **found)
 
-    return Conclusion(run, source, tuple(told_in_words(run)), is_short(run), **found)
+
+def _looks(run: Run) -> tuple[str, ...]:
+    if not run.history.progress.signs:
+        return ()
+    from bench.services.bodies import told_in_words  # takes long to import: the whole diagnosis
+
+    return tuple(told_in_words(run))
+
+
+def _is_short(run: Run) -> bool:
+    """Return whether a run ended without reaching its goals."""
+    try:
+        chosen = run.history.progress.chosen
+    except RecordError:
+        return False
+    if not chosen:
+        return False
+    from bench.planning.choice import REACHED  # takes long to import
+
+    return chosen[-1]["stop"] not in ("", REACHED) and bool((chosen[-1]["now"] or {}).get("asked"))
 
 
 def _evaluated(source: Source) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from rich.console import Console
 
-from bench.base.computing import quiet
+from bench.base.computing import quiet, versions
 from bench.base.files import read_regular, to_text, write_whole
 from bench.config.bench_file.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.config.devices.sections import ControlledChamberForm
@@ -60,11 +60,9 @@ from bench.run.workbench import BenchSetup
 from bench.services.bench_selection import bench_for_record, bench_path, why_taken
 from bench.services.errors import Refused
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record, simulated_truth
-from bench.services.records import versions
 from bench.services.requests.measuring import ResumeRequest, RunRequest
 from bench.services.requests.shared import runs_folder
 from bench.services.traceability import remarks
-from bench.services.until import noted_goals, until_of
 from bench.services.verification import NOTHING_ASKED, VerdictOptions, judgement_of
 from drivers.clock import Haste, utc_now
 from drivers.interfaces import BenchError
@@ -153,7 +151,10 @@ def new_run(request: RunRequest) -> NewRun:
     if verdict:
         manifest["verdict"] = verdict
     notes = _other_unit(stated.serial, serial, file.name)
-    notes += noted_goals(manifest, plan, file, request.until or ())
+    if request.until:
+        from bench.services.until import noted_goals  # takes long to import
+
+        notes += noted_goals(manifest, plan, file, request.until)
     despite = request.despite_check
     if request.check_block or despite is not None or (file.check_block is not None and not dry_run):
         from bench.services.check_block import checked_before  # takes long to import
@@ -360,7 +361,7 @@ def carry_out(
                 people,
                 recorder,
                 watch=watcher.take,
-                choose=until_of(run, bench),
+                choose=_chooser(run, bench),
                 certificates=_on_certificates(bench, simulated=run.simulated),
                 on_settling=bar.settling,
                 at_resumed_time=assembly.at_resumed_time,
@@ -389,6 +390,15 @@ def _on_certificates(
     if simulated and all(section.certificate is None for section in bench.instruments.all()):
         return None
     return lambda serials: remarks(bench, None if simulated else serials)
+
+
+def _chooser(run: Run, bench: BenchFile) -> Callable[[int, PlanProgress], dict[str, Any] | None]:
+    """Return the chooser of a run with goals; for any other run, a function that chooses nothing."""
+    if not run.manifest.get("until"):
+        return lambda index, progress: None
+    from bench.services.until import Until  # takes long to import
+
+    return Until(run, bench)
 
 
 def _setup(bench: BenchFile, assembly: Assembly) -> BenchSetup:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol, runtime_checkable
 
 from bench.base.arrays import ARCSEC
+from bench.base.computing import versions
 from bench.base.files import to_text, write_whole
 from bench.base.numbers import without_infinity
 from bench.config.bench_file.file import BenchFile
@@ -30,7 +31,6 @@ from bench.run.interrupts import Interrupts
 from bench.run.workbench import QUICK_NPLC
 from bench.services.errors import Refused
 from bench.services.own_effects import simulated_truth
-from bench.services.records import versions
 from drivers.angles import format_dms
 from drivers.clock import Clock, Haste, utc_now
 from drivers.interfaces import (

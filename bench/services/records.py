@@ -1,15 +1,13 @@
-"""Run records: their list, their software versions, their heads and seals."""
+"""Run records: their list, their heads and seals."""
 
 from __future__ import annotations
 
 import json
-import platform
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from bench.base.files import read_regular
 from bench.readings.columns import columns_of, ranges_in_words
@@ -41,29 +39,6 @@ from drivers.clock import utc_now
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-
-
-PACKAGES: Final = ("triaxial-bench", "numpy", "scipy", "pyvisa", "pyvisa-py", "pyserial")
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that a result depends on."""
-    found = {"python": platform.python_version()}
-    for package in PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = "not installed"
-    return found
-
-
-def record_head(run: Run) -> dict[str, str | int]:
-    """Return the number of events of a record, and the head of their chain, which identify the record.
-
-    The head is the SHA-256 of the last line, which contains the hash of the line before, and so on. A head
-    kept elsewhere, as in a result, shows whether any line was changed, removed or added since.
-    """
-    return {"events": len(run.history.events), "head": run.history.head}
 
 
 def run_summaries(runs: Path) -> RunsResult:
@@ -102,7 +77,7 @@ def show_run(run: Run, request: ShowRun) -> ShowResult:
     if request.proved and not problems:
         told, problems = proof_of(run, request)
     summary = run_summary(run).to_dict()
-    record = ProvenRecordPart(**record_head(run), told=told)
+    record = ProvenRecordPart(**run.record_head, told=told)
     return ShowResult(**summary, manifest=dict(run.manifest), record=record, problems=problems)
 
 

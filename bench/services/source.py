@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
 
+from bench.base.computing import versions
 from bench.base.text import repeated
 from bench.calibration.budget.meters import KnownMeters
 from bench.calibration.noise import KnownStand
@@ -32,7 +33,6 @@ from bench.services.bench_selection import (
     recorded_sha256,
 )
 from bench.services.errors import Refused, sentence
-from bench.services.records import record_head, versions
 from bench.services.requests.shared import OnReadings, runs_folder
 from bench.services.traceability import (
     NOTHING_LEARNED,
@@ -464,7 +464,7 @@ def provenance(source: Source) -> dict[str, str]:
     if supply := ranges_in_words({name: cells.tolist() for name, cells in source.readings.extra.items()}):
         stated["supply of the block"] = supply
     if run is not None:
-        head = record_head(run)
+        head = run.record_head
         stated["record"] = f"{head['events']} events, chain of hashes whole, head {head['head']}"
     if origin is not None:
         stated["measured with"] = _listed(origin.measured_with)

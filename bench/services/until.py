@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -31,7 +31,6 @@ from bench.model.conditions import Mounting
 from bench.model.effects import CATALOGUE
 from bench.model.forward import ForwardModel
 from bench.planning.choice import (
-    REACHED,
     Chooser,
     Standing,
     TimeOutlook,
@@ -72,7 +71,7 @@ from bench.results.check import (
     outlook_in_words,
     until_part,
 )
-from bench.run.events import Manifest, RecordError
+from bench.run.events import Manifest
 from bench.run.folder import BENCH, Run
 from bench.run.record import History
 from bench.run.resume import PlanProgress
@@ -304,31 +303,11 @@ class Until:
         return reached_by(self._chooser.aim, own.covariance_readings, own.covariance)
 
 
-def until_of(run: Run, bench: BenchFile) -> Callable[[int, PlanProgress], dict[str, Any] | None]:
-    """Return the chooser of a run with goals; for any other run, a function that chooses nothing."""
-    return Until(run, bench) if run.manifest.get("until") else lambda index, progress: None
-
-
-def is_short(run: Run) -> bool:
-    """Return whether a run ended without reaching its goals."""
-    try:
-        chosen = run.history.progress.chosen
-    except RecordError:
-        return False
-    return (
-        bool(chosen)
-        and chosen[-1]["stop"] not in ("", REACHED)
-        and bool((chosen[-1]["now"] or {}).get("asked"))
-    )
-
-
 # --- before the run ---------------------------------------------------------------------------------
 
 
 def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequence[str]) -> tuple[str, ...]:
     """Keep the goals in the manifest; return how long a run for them will take, as a sentence. Raises `Refused`."""
-    if not texts:
-        return ()
     manifest["until"] = [*texts]
     learned = learned_for_run(
         bench, Path(manifest["bench"]), manifest["created"], simulated=bool(manifest["dry_run"])

@@ -17,7 +17,8 @@ from functools import cache
 from typing import Any, Final, Literal
 
 import numpy as np
-from scipy import optimize, signal, special
+import scipy
+from scipy import special
 
 from bench.base.arrays import Floats, u_of
 from bench.base.computing import CalibrationError
@@ -47,9 +48,7 @@ def ewma_arl(smoothing: float, k: float, shift: float = 0.0) -> float:
 
     def kernel(start: Floats) -> Floats:
         value = (places - (1.0 - smoothing) * start[:, None]) / smoothing - shift
-        from scipy import stats  # takes long to import
-
-        return np.asarray(weights * stats.norm.pdf(value) / smoothing)
+        return np.asarray(weights * scipy.stats.norm.pdf(value) / smoothing)
 
     lengths = np.linalg.solve(np.eye(NODES) - kernel(places), np.ones(NODES))
     return float(1.0 + (kernel(np.zeros(1)) @ lengths)[0])
@@ -69,9 +68,7 @@ def mewma_arl(smoothing: float, limit: float, dimensions: int) -> float:
 
     def kernel(start: Floats) -> Floats:
         from_there = (start[:, None] * (1.0 - smoothing) / smoothing) ** 2
-        from scipy import stats  # takes long to import
-
-        density = stats.ncx2.pdf((places / smoothing) ** 2, dimensions, from_there)
+        density = scipy.stats.ncx2.pdf((places / smoothing) ** 2, dimensions, from_there)
         return np.asarray(weights * 2.0 * places / smoothing**2 * density)
 
     lengths = np.linalg.solve(np.eye(NODES) - kernel(places), np.ones(NODES))
@@ -99,7 +96,7 @@ def mewma_limit(smoothing: float, arl: float, dimensions: int) -> float:
 def _root(length: Callable[[float], float], arl: float, most: float) -> float:
     """Return the limit at which a rising run length is `arl`; `most`, the limit without memory, bounds it."""
     return float(
-        optimize.brentq(lambda limit: np.log(length(limit) / arl), 0.2 * most, 1.01 * most, xtol=1e-6)
+        scipy.optimize.brentq(lambda limit: np.log(length(limit) / arl), 0.2 * most, 1.01 * most, xtol=1e-6)
     )
 
 
@@ -268,7 +265,7 @@ def without_one(values: Floats, covariances: Floats, basis: Basis) -> Floats | N
 
 def _filtered(values: Floats, gain: float, weight: float, axis: int) -> Floats:
     """Return y_t = gain x_t + weight y_{t-1} along an axis."""
-    filtered: Any = signal.lfilter([gain], [1.0, -weight], values, axis=axis)
+    filtered: Any = scipy.signal.lfilter([gain], [1.0, -weight], values, axis=axis)
     return np.asarray(filtered)
 
 

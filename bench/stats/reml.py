@@ -15,7 +15,8 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy import linalg, optimize, sparse, special
+import scipy
+from scipy import linalg, sparse, special
 
 from bench.base.arrays import Floats, Ints, Mask
 
@@ -269,7 +270,9 @@ class Profile:
         if not np.isfinite(end):
             return end
         return float(
-            optimize.brentq(lambda size: self.lost(size) - ONE_SIDED, self.middle, end, rtol=LIMIT_AT_REST)
+            scipy.optimize.brentq(
+                lambda size: self.lost(size) - ONE_SIDED, self.middle, end, rtol=LIMIT_AT_REST
+            )
         )
 
     def mean(self) -> float:

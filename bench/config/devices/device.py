@@ -12,7 +12,15 @@ from itertools import pairwise
 from types import ModuleType
 from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from bench.base.text import repeated
 from bench.base.units import (
@@ -37,6 +45,9 @@ Role = Literal["voltmeter", "head", "chamber", "level", "thermometer", "power_su
 
 class DeviceSection(FileModel):
     """Base of the sections of instruments in a bench file; the forms of roles derive from it."""
+
+    # a field that cannot be read is a mistake of the module that declares it, told when that is loaded
+    model_config = ConfigDict(defer_build=False)
 
     role: ClassVar[Role]
     by_hand: ClassVar[bool] = False
