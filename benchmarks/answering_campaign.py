@@ -1,14 +1,17 @@
-"""Answers runs from two places at once, well and badly, kills them at random moments, resumes each until it ends.
+"""Kills dry runs at random moments, answers their questions well and badly, resumes each until it ends.
+
+    python -m benchmarks.answering_campaign --runs 40 --seed 1
+    python -m benchmarks.answering_campaign --simple 200 --workers 2
 
 Dry runs whose questions a person answers, each carried out by a program of its own on a terminal: at each question
 the answer is typed, or left in the run's folder, or both at once, after answers that are stale, ill-fitting or no
 line of JSON, and at random moments the program is killed (SIGKILL) and the run resumed, with a terminal or without.
 Typed angles are off their targets by some seconds, each by its own, so an answer that goes astray is seen.
 
-Every run must end with the readings of one of the same seed that nobody disturbed; no question answered twice, no
-answer used but the recorded one, none lost; a question whose answer a kill came between is put again:
-
-    python -m benchmarks.answering_campaign --runs 40 --seed 1
+Every run must end with exactly the readings of one of the same seed that nobody disturbed, none twice, with the
+chain of hashes whole; no question answered twice, no answer used but the recorded one, none lost; a question whose
+answer a kill came between is put again. `--simple`: at least so many kills, over the life of processes that nobody
+is asked by, their start and their conclusion included.
 """
 
 from __future__ import annotations
@@ -22,19 +25,22 @@ import tempfile
 import time
 import zlib
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from bench.run.events import Event
 from bench.run.folder import Run
 from bench.run.person import ANSWERS, LeftAnswer, OpenPrompt, WishAuthor, leave_answer, understood_answer
 from bench.run.record import parse_line, read_history
 from benchmarks.campaign import PROGRAM, arguments
-from benchmarks.kill_campaign import differences
 from drivers.angles import format_dms, parse_angle
 from drivers.person import Prompt, PromptKind
 
 PROCEDURE: Final = "quick"
+BEGIN: Final = ("run", PROCEDURE, "--dry-run", "--seed", "7", "--name")
 PANEL: Final = WishAuthor("Ann", "operator", "panel")
 ACT_AGAIN_S: Final = 1.5
 """What is typed while a question is being shown is none of its answers, so it is typed again."""
@@ -136,22 +142,17 @@ def one(number: int, folder: Path, *, seed: int, kills: int, calm: bool = False)
     rng = random.Random(f"{seed}/{number}")  # noqa: S311 - a campaign, no secret
     name = f"run{number}"
     run = folder / "runs" / name
-    begin = ["run", PROCEDURE, "--dry-run", "--seed", "7", "--name", name]
     done: Counter[str] = Counter()
     deadline_s = time.monotonic() + ENOUGH_S
     while True:
         at_terminal = not calm and rng.random() < 0.7
         master, screen = os.openpty()
         os.set_blocking(master, False)
-        what = ["resume", name] if (run / "run.json").exists() else begin
+        what = ["resume", name] if (run / "run.json").exists() else [*BEGIN, name]
         process = subprocess.Popen(  # noqa: S603 - our own program
             [*PROGRAM, *what, "--answers", "terminal" if at_terminal else "folder"],
-            cwd=folder,
-            stdin=screen,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+            cwd=folder, stdin=screen, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
         hands = Hands(run, rng, master if at_terminal else None, calm=calm)
         last = kills <= 0
         questions, late_s = rng.randrange(0, 14), rng.choice((0.0, rng.uniform(0.0, 0.3)))
@@ -230,19 +231,94 @@ def _astray(events: list[Event]) -> list[str]:
     return wrong
 
 
+# --- kills alone ------------------------------------------------------------------------------------
+
+LONGEST_S: Final = 2.2
+"""A dry run of `quick` takes about as long on a machine of two cores, its start included."""
+
+
+def start(folder: Path, *arguments: str) -> subprocess.Popen[bytes]:
+    """Start the program in a folder."""
+    return subprocess.Popen(  # noqa: S603 - our own program
+        [*PROGRAM, *arguments], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+
+
+def killed(number: int, folder: Path, expected: Run) -> tuple[int, list[str]]:
+    """Kill and resume one run until it ends; return how often it was killed, and what is wrong with it."""
+    rng = random.Random(number)  # noqa: S311 - a campaign, no secret
+    name = f"run{number}"
+    kills = 0
+    process = start(folder, *BEGIN, name)
+    while True:
+        try:
+            process.wait(timeout=rng.uniform(0.3, LONGEST_S) if kills < 3 else None)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            kills += 1
+        run = folder / "runs" / name
+        if not (run / "run.json").exists():
+            process = start(folder, *BEGIN, name)
+            continue
+        if read_history(run).state == "finished":
+            return kills, differences(Run(run), expected)
+        process = start(folder, "resume", name)
+
+
+def differences(run: Run, expected: Run) -> list[str]:
+    """Say in what a run differs from one that nobody disturbed."""
+    wrong = list(run.history.problems)
+    steps = [e.data["step"] for e in run.history.events if e.type == "step_done" and "reading" in e.data]
+    wrong += [f"step {step} was read twice" for step, times in Counter(steps).items() if times > 1]
+    ours, theirs = run.readings(), expected.readings()
+    if len(ours) != len(theirs):
+        return [*wrong, f"{len(ours)} readings, planned were {len(theirs)}"]
+    for column in ("signal", "angle_rad", "time_s", "installation", "point"):
+        if not np.array_equal(getattr(ours, column), getattr(theirs, column)):
+            wrong.append(f"{column} differs from an undisturbed run")
+    return wrong
+
+
+def kill_many(folder: Path, kills: int, workers: int) -> list[str]:
+    """Kill at least so many times; return what is wrong with the runs."""
+    start(folder, *BEGIN, "whole").wait()
+    expected = Run(folder / "runs" / "whole")
+    done, runs, failed = 0, 0, []
+    with ThreadPoolExecutor(workers) as pool:
+        while done < kills:
+            batch = range(runs, runs + 8 * workers)
+            found = pool.map(lambda number: killed(number, folder, expected), batch)
+            for number, (times, wrong) in zip(batch, found, strict=True):
+                done += times
+                failed += [f"run {number}: {text}" for text in wrong]
+            runs += len(batch)
+            print(f"{done} kills in {runs} runs, {len(failed)} faults", flush=True)
+    return failed
+
+
+def answer_many(folder: Path, runs: int, kills: int, seed: int) -> list[str]:
+    """Answer and kill so many runs; return what is wrong with them."""
+    expected, _ = one(0, folder, seed=seed, kills=0, calm=True)
+    done: Counter[str] = Counter()
+    failed = [f"undisturbed: {text}" for text in amiss(expected)]
+    for number in range(1, runs + 1):
+        run, did = one(number, folder, seed=seed, kills=number % (kills + 1))
+        done += did
+        failed += [f"run {number}: {text}" for text in [*differences(run, expected), *amiss(run)]]
+        print(f"{number} runs, {done['killed']} kills, {len(failed)} faults", flush=True)
+    print(", ".join(f"{what}: {times}" for what, times in sorted(done.items())))
+    return failed
+
+
 def main() -> None:
-    options = arguments(__doc__, runs=40, kills=(4, "at most, of each run"), seed=1)
+    given = arguments(__doc__, runs=40, kills=(4, "at most, of each run"), seed=1, simple=0, workers=2)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        expected, _ = one(0, folder, seed=options.seed, kills=0, calm=True)
-        done: Counter[str] = Counter()
-        failed = [f"undisturbed: {text}" for text in amiss(expected)]
-        for number in range(1, options.runs + 1):
-            run, did = one(number, folder, seed=options.seed, kills=number % (options.kills + 1))
-            done += did
-            failed += [f"run {number}: {text}" for text in [*differences(run, expected), *amiss(run)]]
-            print(f"{number} runs, {done['killed']} kills, {len(failed)} faults", flush=True)
-        print(", ".join(f"{what}: {times}" for what, times in sorted(done.items())))
+        if given.simple:
+            failed = kill_many(folder, given.simple, given.workers)
+        else:
+            failed = answer_many(folder, given.runs, given.kills, given.seed)
     print(*failed, sep="\n")
     sys.exit(1 if failed else 0)
 

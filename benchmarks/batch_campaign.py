@@ -34,14 +34,13 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 from pyarrow import parquet
 
 from bench.batch.job import CALIBRATE, Job
 from bench.batch.store import list_runs
 from bench.batch.work import worked
 from bench.model.geometry import COEFFICIENTS
-from benchmarks.campaign import arguments
+from benchmarks.campaign import PROGRAM, arguments
 
 _SAMPLE: Final = 20
 _TICKS: Final = os.sysconf("SC_CLK_TCK")
@@ -83,9 +82,9 @@ class Watch:
 
     def shares(self) -> tuple[float, float]:
         """Return the share of their life in which the processes computed, and computed or waited for a core."""
-        life = sum(one.last[0] - one.first[0] for one in self.workers.values())
-        cpu = sum(one.last[1] - one.first[1] for one in self.workers.values())
-        queued = sum(one.last[2] - one.first[2] for one in self.workers.values())
+        life, cpu, queued = (
+            sum(one.last[k] - one.first[k] for one in self.workers.values()) for k in range(3)
+        )
         return cpu / life, (cpu + queued) / life
 
 
@@ -94,12 +93,6 @@ def children_of(pid: int) -> list[int]:
         return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     except OSError:
         return []
-
-
-def below(pid: int) -> Iterator[int]:
-    for child in children_of(pid):
-        yield child
-        yield from below(child)
 
 
 def workers_of(program: int) -> list[int]:
@@ -124,13 +117,10 @@ def times_of(pid: int) -> tuple[float, float, int] | None:
 
 def begin(over: str, runs: list[str], out: Path, options: argparse.Namespace) -> subprocess.Popen[bytes]:
     """Begin the command, over a folder of links to the runs."""
-    command = [sys.executable, "-c", "from bench.cli.program import main; main()", "batch", "calibrate"]
     more = [] if options.workers is None else ["--workers", str(options.workers)]
+    command = [*PROGRAM, "batch", "calibrate", "--over", over, "--out", str(out), *more]
     log = (out.parent / "log.txt").open("ab")
-    return subprocess.Popen(  # noqa: S603 - our own program
-        [*command, "--over", over, "--out", str(out), *more, "--estimator", options.estimator],
-        stdout=log, stderr=log,
-    )  # fmt: skip
+    return subprocess.Popen(command, stdout=log, stderr=log)  # noqa: S603 - our own program
 
 
 def rows_done(out: Path) -> int:
@@ -215,9 +205,7 @@ def kill_one(program: subprocess.Popen[bytes], chance: random.Random) -> list[st
     pids = {
         "the program": [program.pid] if program.poll() is None else [],
         "a process": workers_of(program.pid),
-        "the one of which they are copies": [
-            child for child in children_of(program.pid) if children_of(child)
-        ],
+        "the one of which they are copies": [one for one in children_of(program.pid) if children_of(one)],
     }[what]
     if not pids:
         return []
@@ -253,12 +241,9 @@ def checked(out: Path, runs: list[str], chance: random.Random) -> list[str]:
     wrong += [f"{run}: nobody asked for it" for run in counted.keys() - set(runs)]
     rows = {row["run"]: row for row in table.to_pylist()}
     for run in chance.sample(runs, min(_SAMPLE, len(runs))):
-        row = worked(Job(CALIBRATE, estimator=rows[run]["estimator"] or "gls"), run)
-        differ = [
-            name for name in COEFFICIENTS
-            if not np.array_equal([rows[run][name], rows[run][f"u_{name}"]], [row[name], row[f"u_{name}"]])
-        ]  # fmt: skip
-        wrong += [f"{run}: {name} is another number" for name in differ]
+        row = worked(Job(CALIBRATE, estimator="gls"), run)
+        columns = [*COEFFICIENTS, *(f"u_{name}" for name in COEFFICIENTS)]
+        wrong += [f"{run}: {name} is another number" for name in columns if rows[run][name] != row[name]]
     return wrong
 
 
@@ -266,7 +251,7 @@ def main() -> None:
     options = arguments(
         __doc__, what={"positional": True, "choices": ["busy", "kills"]},
         over={"positional": True, "help": "runs: a pattern, or a folder of runs"}, count=10000, kills=50,
-        every=(20.0, "longest time between two kills, s"), seed=1, workers=int, estimator="gls",
+        every=(20.0, "longest time between two kills, s"), seed=1, workers=int,
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as name:
         sys.exit({"busy": busy, "kills": kills}[options.what](options, Path(name)))

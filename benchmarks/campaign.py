@@ -28,7 +28,6 @@ from typing import Any, Final, NamedTuple, NoReturn, TypeVar
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
-from scipy.stats import binomtest
 
 from bench.base.arrays import Floats, Mask
 from bench.model.geometry import COEFFICIENTS
@@ -176,6 +175,13 @@ def command(*words: object, stdin: str = "") -> Said:
     return Said(status, out.getvalue(), err.getvalue(), time.monotonic() - begun)
 
 
+def done(*words: object) -> None:
+    """Carry out a command of the program; end the campaign where it cannot be done."""
+    said = command(*words)
+    if said.status == 2:
+        raise SystemExit(f"bench {' '.join(map(str, words))}: {said.err}")
+
+
 # --- a file to resume from ----------------------------------------------------------------------------
 
 
@@ -252,6 +258,8 @@ class Share:
         """Lower and upper end; 0 and 1 where there was nothing to count."""
         if not self.of:
             return 0.0, 1.0
+        from scipy.stats import binomtest  # it takes long, and memory, where no share is told
+
         ci = binomtest(self.successes, self.of).proportion_ci(confidence_level=0.95, method="wilson")
         return float(ci.low), float(ci.high)
 
@@ -311,11 +319,23 @@ def by_kind(
     for outcome in outcomes:
         of[kind_of(outcome)].append(outcome)
         of["all"].append(outcome)
-    lines = [f"{'':16}" + "".join(f"{heading:>11}" for heading in counts)]
-    for kind in (*kinds, "all"):
+    names = (*kinds, "all")
+    width = max(16, *(len(name) + 1 for name in names))
+    lines = [f"{'':{width}}" + "".join(f"{heading:>11}" for heading in counts)]
+    for kind in names:
         if rows := of.get(kind):
-            lines.append(f"{kind:16}" + "".join(f"{count(rows)!s:>11}" for count in counts.values()))
+            lines.append(f"{kind:{width}}" + "".join(f"{count(rows)!s:>11}" for count in counts.values()))
     return "\n".join(lines)
+
+
+def summed(name: str) -> Callable[[Sequence[Any]], int]:
+    """Return what counts the outcomes of which this is true, or adds it up; a list counts by its length."""
+
+    def count(rows: Sequence[Any]) -> int:
+        values = [getattr(row, name) for row in rows]
+        return sum(len(value) if isinstance(value, list) else value for value in values)
+
+    return count
 
 
 def amiss(found: Sequence[str], word: str = "VIOLATION", most: int | None = None) -> int:

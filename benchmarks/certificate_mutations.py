@@ -1,6 +1,6 @@
 """Is anything changed in a signed certificate refused, or shown to leave what was signed as it was?
 
-    python -m benchmarks.certificate_mutations --number 1000 --seed 16 --out mutations.json
+    python -m benchmarks.certificate_mutations --number 1000 --seed 16
 
 A dry run is made, and its certificate issued: the XML signed, put into the PDF, the PDF signed. Then one of the two
 is changed, by chance from the seed: a byte of a value, a unit, the covariance, a file within it or any other place;
@@ -15,12 +15,10 @@ change that was accepted and shows anything else.
 
 from __future__ import annotations
 
-import contextlib
 import io
 import re
 import sys
 import tempfile
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -29,10 +27,7 @@ from random import Random
 from typing import Final
 
 import pikepdf
-from rich.console import Console
-from rich.table import Table
 
-from bench.base.files import to_text
 from bench.certificate.content import Issue
 from bench.certificate.dcc.document import document_of
 from bench.certificate.gather import certificate_of
@@ -42,7 +37,7 @@ from bench.certificate.signatory import new_certificate_key, signatory_of
 from bench.certificate.signatures import NotIntact, check_xml, sign_pdf, sign_xml
 from bench.certificate.verify import verify_certificate
 from bench.config.shipped import CERTIFICATE, shipped_folder
-from benchmarks.campaign import arguments
+from benchmarks.campaign import arguments, by_kind, done
 
 REFUSED, UNCHANGED, CHANGED = "refused", "unchanged", "CHANGED"
 _DIGITS: Final = b"0123456789"
@@ -79,8 +74,11 @@ def signed_pair(run: Path, folder: Path) -> Pair:
 
 def _within(document: bytes, tag: bytes, rng: Random) -> tuple[int, int]:
     """Return where the text of one element of a name stands, chosen by chance."""
-    spans = [match.span(1) for match in re.finditer(rb"<" + tag + rb"[^>]*>([^<]+)</", document)]
-    return rng.choice(spans)
+    return rng.choice(_texts(document, tag))
+
+
+def _texts(document: bytes, tag: bytes) -> list[tuple[int, int]]:
+    return [match.span(1) for match in re.finditer(rb"<" + tag + rb"[^>]*>([^<]+)</", document)]
 
 
 def _other(byte: int, rng: Random) -> bytes:
@@ -97,34 +95,19 @@ def _byte_in(tag: bytes) -> Change:
     return change
 
 
-def _blank_in(tag: bytes) -> Change:
+def _put_in(tag: bytes, *what: bytes) -> Change:
     def change(document: bytes, rng: Random) -> bytes:
         first, last = _within(document, tag, rng)
         at = rng.randint(first, last)
-        return document[:at] + rng.choice([b" ", b"\n", b"\t", b"\xc2\xa0", b"&#32;"]) + document[at:]
-
-    return change
-
-
-def _comment_in(tag: bytes) -> Change:
-    def change(document: bytes, rng: Random) -> bytes:
-        first, last = _within(document, tag, rng)
-        at = rng.randint(first, last)
-        return (
-            document[:at]
-            + rng.choice([b"<!---->", b"<!-- 9 -->", b"<?x?>", b"<![CDATA[9]]>"])
-            + document[at:]
-        )
+        return document[:at] + rng.choice(what) + document[at:]
 
     return change
 
 
 def _swapped(tag: bytes) -> Change:
     def change(document: bytes, rng: Random) -> bytes:
-        spans = [
-            match.span()
-            for match in re.finditer(rb"<" + tag + rb"[ >].*?</" + tag + rb">", document, re.DOTALL)
-        ]
+        whole = rb"<" + tag + rb"[ >].*?</" + tag + rb">"
+        spans = [match.span() for match in re.finditer(whole, document, re.DOTALL)]
         (a, b), (c, d) = sorted(rng.sample(spans, 2))
         return document[:a] + document[c:d] + document[b:c] + document[a:b] + document[d:]
 
@@ -133,11 +116,7 @@ def _swapped(tag: bytes) -> Change:
 
 def _words_swapped(tag: bytes) -> Change:
     def change(document: bytes, rng: Random) -> bytes:
-        several = [
-            match.span(1)
-            for match in re.finditer(rb"<" + tag + rb"[^>]*>([^<]+)</", document)
-            if match[1].count(b" ") > 1
-        ]
+        several = [span for span in _texts(document, tag) if document[slice(*span)].count(b" ") > 1]
         first, last = rng.choice(several)
         words = document[first:last].split(b" ")
         i, j = rng.sample(range(len(words)), 2)
@@ -175,15 +154,18 @@ def _in_signature(document: bytes, rng: Random) -> bytes:
     return document[:at] + _other(document[at], rng) + document[at + 1 :]
 
 
+BLANKS: Final = (b" ", b"\n", b"\t", b"\xc2\xa0", b"&#32;")
+COMMENTS: Final = (b"<!---->", b"<!-- 9 -->", b"<?x?>", b"<![CDATA[9]]>")
 XML: Final[dict[str, Change]] = {
     "a byte of a value": _byte_in(b"si:value(?:XMLList)?"),
     "a byte of a U": _byte_in(b"si:valueExpandedMUXMLList"),
     "a byte of a unit": _byte_in(b"si:unit(?:XMLList)?"), "a byte of a covariance": _byte_of_covariance,
     "a byte of a file in it": _byte_in(b"dcc:dataBase64"), "a byte of a text": _byte_in(b"dcc:content"),
-    "a blank in a value": _blank_in(b"si:valueXMLList"), "a blank in a unit": _blank_in(b"si:unitXMLList"),
-    "a blank in a file in it": _blank_in(b"dcc:dataBase64"),
-    "a comment in a value": _comment_in(b"si:valueXMLList"),
-    "a comment in a text": _comment_in(b"dcc:content"),
+    "a blank in a value": _put_in(b"si:valueXMLList", *BLANKS),
+    "a blank in a unit": _put_in(b"si:unitXMLList", *BLANKS),
+    "a blank in a file in it": _put_in(b"dcc:dataBase64", *BLANKS),
+    "a comment in a value": _put_in(b"si:valueXMLList", *COMMENTS),
+    "a comment in a text": _put_in(b"dcc:content", *COMMENTS),
     "values in another order": _words_swapped(b"si:valueXMLList"),
     "labels in another order": _words_swapped(b"si:labelXMLList"),
     "elements in another order": _swapped(b"dcc:result"),
@@ -230,18 +212,6 @@ def _exchanged(pdf: pikepdf.Pdf, rng: Random) -> None:
     pdf.attachments[one], pdf.attachments[other] = contents[other], contents[one]
 
 
-def _page_less(pdf: pikepdf.Pdf, rng: Random) -> None:
-    del pdf.pages[rng.randrange(len(pdf.pages))]
-
-
-def _pages_turned(pdf: pikepdf.Pdf, rng: Random) -> None:
-    pdf.pages.reverse()
-
-
-def _as_it_is(pdf: pikepdf.Pdf, rng: Random) -> None:
-    pass
-
-
 def _signature_digits(file: bytes) -> tuple[int, int]:
     """Return where the hexadecimal digits of the signature stand."""
     start = file.rindex(b"/Contents <") + len(b"/Contents <")
@@ -258,8 +228,10 @@ PDF: Final[dict[str, Change]] = {
     "a byte of the PDF left out": _byte_out, "something appended": _appended,
     "a digit of the PDF's signature": _in_place_of_the_signature,
     "another byte in an attachment": _saved(_other_attachment),
-    "attachments exchanged": _saved(_exchanged), "a page less": _saved(_page_less),
-    "pages in another order": _saved(_pages_turned), "the file written anew": _saved(_as_it_is),
+    "attachments exchanged": _saved(_exchanged),
+    "a page less": _saved(lambda pdf, rng: pdf.pages.__delitem__(rng.randrange(len(pdf.pages)))),
+    "pages in another order": _saved(lambda pdf, rng: pdf.pages.reverse()),
+    "the file written anew": _saved(lambda pdf, rng: None),
 }  # fmt: skip
 KINDS: Final = {**XML, **PDF}
 
@@ -307,40 +279,18 @@ def trials(pair: Pair, number: int, seed: int, folder: Path) -> Iterator[tuple[s
         yield kind, outcome(pair, changed, kind, folder, beside=n // len(names) % 2 == 1)
 
 
-def dry_run(folder: Path) -> Path:
-    """Make a dry run of the quick procedure; return its folder."""
-    from bench.cli.app import main
-
-    try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            main(["run", "quick", "--dry-run", "--name", "unit-17", "--runs", str(folder / "runs")])
-    except SystemExit as done:
-        if done.code not in (0, 1):
-            raise
-    return folder / "runs" / "unit-17"
-
-
 def main() -> int:
     """Make a pair, change it so many times, print what came of it."""
-    asked = arguments(__doc__, number=1000, seed=16, out=Path)
-    found: dict[str, Counter[str]] = {kind: Counter() for kind in KINDS}
+    asked = arguments(__doc__, number=1000, seed=16)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        pair = signed_pair(dry_run(folder), folder)
-        for kind, came in trials(pair, asked.number, asked.seed, folder):
-            found[kind][came] += 1
+        done("run", "quick", "--dry-run", "--name", "unit-17", "--runs", folder / "runs")
+        pair = signed_pair(folder / "runs" / "unit-17", folder)
+        found = list(trials(pair, asked.number, asked.seed, folder))
     columns = (REFUSED, UNCHANGED, CHANGED)
-    shown = Table("change", *columns)
-    for kind, counted in found.items():
-        shown.add_row(kind, *(str(counted[column]) for column in columns))
-    total = sum(found.values(), Counter())
-    shown.add_row("all", *(str(total[column]) for column in columns))
-    Console(width=100).print(shown)
-    if asked.out is not None:
-        asked.out.write_text(
-            to_text({kind: dict(counted) for kind, counted in found.items()}), encoding="utf-8"
-        )
-    return 1 if total[CHANGED] else 0
+    counts = {one: lambda rows, one=one: sum(came == one for _, came in rows) for one in columns}
+    print(by_kind(found, KINDS, lambda row: row[0], counts))
+    return 1 if any(came == CHANGED for _, came in found) else 0
 
 
 if __name__ == "__main__":

@@ -25,15 +25,13 @@ from pathlib import Path
 from typing import Any, Final
 from unittest import mock
 
-import yaml
-
 import bench.run.assembly.served
 from bench.base.arrays import ARCSEC
 from bench.config.bench_file.file import load_bench
 from bench.run.commission.course import CABLE
 from bench.services.instruments import PAGE, CommissioningPlan, commission
-from benchmarks.campaign import ROOT, amiss, arguments, by_kind, spread
-from benchmarks.fault_campaign import exact
+from benchmarks.campaign import ROOT, amiss, arguments, by_kind, spread, summed
+from benchmarks.fault_campaign import exact_bench
 from drivers.interfaces import BenchError
 from sim.bench import SimulatedBench
 from sim.wires.faults import OF_INSTRUMENT, Fault, FaultKind
@@ -46,15 +44,11 @@ LIMIT_S: Final = 180.0
 ONCE, LASTING = "once", "from then on"
 STUCK, BESIDE = "head stuck", "head beside"
 HEAD_FAULTS: Final = {STUCK: HeadFault(sticks_after_rad=0.0), BESIDE: HeadFault(stops_off_rad=600.0 * ARCSEC)}
-PROOF: Final = frozenset(
-    {FaultKind.ERROR, FaultKind.LOCAL, FaultKind.POWER_CYCLE, FaultKind.OVERLOAD, FaultKind.LATE}
-)
+PROOF: Final = {FaultKind.ERROR, FaultKind.LOCAL, FaultKind.POWER_CYCLE, FaultKind.OVERLOAD, FaultKind.LATE}
 """What may pass without a trace when it strikes once: errors are cleared, settings sent, nothing was sampled."""
 PROOF_FOR_GOOD: Final[dict[str, str]] = {
-    FaultKind.LOCAL: "voltmeter",
-    FaultKind.POWER_CYCLE: "chamber",
-    FaultKind.ERROR: "chamber",
-}
+    FaultKind.LOCAL: "voltmeter", FaultKind.POWER_CYCLE: "chamber", FaultKind.ERROR: "chamber",
+}  # fmt: skip
 """What may do so each time: only RS-232 knows a LOCAL key, a chamber that was switched off stands by, and its
 driver reads each setting back in place of the errors in its queue."""
 
@@ -94,6 +88,9 @@ class Outcome:
     violations: list[str] = field(default_factory=list)
 
 
+Handler = Callable[[bytes, Callable[[], bool]], bytes | None]
+
+
 class Struck:
     """Stands for `SimulatedBench` where a dry bench is put together: counts exchanges, lets a fault strike."""
 
@@ -113,11 +110,7 @@ class Struck:
         return simulated
 
     def _handle(
-        self,
-        name: str,
-        handle: Callable[[bytes, Callable[[], bool]], bytes | None],
-        message: bytes,
-        interrupted: Callable[[], bool],
+        self, name: str, handle: Handler, message: bytes, interrupted: Callable[[], bool]
     ) -> bytes | None:
         self.exchanges[name] = self.exchanges.get(name, 0) + 1
         trial = self._trial
@@ -174,10 +167,7 @@ def benches(folder: Path, names: Sequence[str]) -> list[Bench]:
     """Make the benches, each with an evening without faults. Raises `RuntimeError` where that is not well."""
     made = []
     for name in names:
-        shipped = (ROOT / "config" / f"{name}.yaml").read_text(encoding="utf-8")
-        data = exact(yaml.safe_load(shipped), f"{TIMEOUT_S:g} s")
-        path = folder / f"{name}.yaml"
-        path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+        path, _ = exact_bench(folder, name, f"{TIMEOUT_S:g} s")
         file = load_bench(path)
         with struck(None) as watch:
             result = commission(CommissioningPlan(file, path, folder / f"{name}-well", None, tell=watch.told))
@@ -216,9 +206,8 @@ def trials_of(bench: Bench, seed: int) -> list[Trial]:
 def carry_out(trial: Trial, folder: Path, limit_s: float = LIMIT_S) -> Outcome:
     """Go through an evening with a fault, and judge it."""
     outcome = Outcome(trial)
-    out = folder / f"{trial.bench.name}-{trial.kind}-{trial.mode}-{trial.instrument}-{trial.at}".replace(
-        " ", "-"
-    )
+    what = (trial.bench.name, trial.kind, trial.mode, trial.instrument, trial.at)
+    out = folder / "-".join(map(str, what)).replace(" ", "-")
     begun_s = time.monotonic()
     with struck(trial) as watch:
         try:
@@ -260,9 +249,9 @@ def table(outcomes: Sequence[Outcome]) -> str:
     """Return the table by kind of fault."""
     counts: dict[str, Callable[[Sequence[Outcome]], object]] = {
         "evenings": len,
-        "named": lambda rows: sum(row.traced for row in rows),
-        "no trace": lambda rows: sum(not row.traced for row in rows),
-        "violations": lambda rows: sum(len(row.violations) for row in rows),
+        "named": summed("traced"),
+        "no trace": lambda rows: len(rows) - summed("traced")(rows),
+        "violations": summed("violations"),
         "longest, s": lambda rows: f"{max(row.time_s for row in rows):.1f}",
     }
     return by_kind(outcomes, (*map(str, FaultKind), *HEAD_FAULTS), lambda row: row.trial.kind, counts)

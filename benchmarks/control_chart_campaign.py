@@ -219,23 +219,14 @@ def print_lengths(points: int, seed: int) -> None:
 
 
 def print_length(
-    name: str,
-    rng: np.random.Generator,
-    smoothing: float,
-    limit: float,
-    shift: float,
-    published: float,
-    exact: float,
-    points: int,
-    p: int = 1,
-) -> None:
+    name: str, rng: np.random.Generator, smoothing: float, limit: float, shift: float, published: float,
+    exact: float, points: int, p: int = 1,
+) -> None:  # fmt: skip
     """Print one row."""
     found = run_lengths(rng, smoothing, limit, shift, max(1000, int(points / published)), p)
     mean, u = float(found.mean()), float(found.std(ddof=1) / np.sqrt(len(found)))
-    print(
-        f"| {name} | {shift:g} | {published:g} | {exact:.4g} | {mean:.4g} ± {u:.2g} | {mean / published:.3f} |",
-        flush=True,
-    )
+    told = f"{published:g} | {exact:.4g} | {mean:.4g} ± {u:.2g} | {mean / published:.3f}"
+    print(f"| {name} | {shift:g} | {told} |", flush=True)
 
 
 TABLES: Final = {"rejections": print_rejections, "wrong": print_wrong, "lengths": print_lengths}
@@ -244,11 +235,9 @@ TABLES: Final = {"rejections": print_rejections, "wrong": print_wrong, "lengths"
 def main() -> None:
     """Print the tables."""
     asked = arguments(
-        __doc__,
-        runs=(1000000, "chart points of each row"),
-        seed=1,
+        __doc__, runs=(1000000, "chart points of each row"), seed=1,
         table={"choices": TABLES, "help": "one of the three alone"},
-    )
+    )  # fmt: skip
     for name, table in TABLES.items():
         if asked.table in (None, name):
             table(asked.runs, asked.seed)

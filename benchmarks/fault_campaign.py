@@ -33,7 +33,7 @@ import bench.run.assembly.served
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.model import Conditions, ForwardModel, stand_errors
 from bench.run.folder import Run
-from benchmarks.campaign import ROOT, amiss, arguments, by_kind, command, spread
+from benchmarks.campaign import ROOT, amiss, arguments, by_kind, command, spread, summed
 from sim.bench import SimulatedBench
 from sim.wires.faults import OF_INSTRUMENT, Fault, FaultKind, FaultyInstrument
 from sim.wires.session import ServedInstrument, WireFault
@@ -117,6 +117,19 @@ def exact(data: dict[str, Any], timeout: str) -> dict[str, Any]:
     return data
 
 
+def exact_bench(
+    folder: Path, shipped: str, timeout: str, name: str = "", change: Callable[[Any], None] | None = None
+) -> tuple[Path, dict[str, Any]]:
+    """Write a shipped bench file that is made exact, and changed; return the file and its data."""
+    text = (ROOT / "config" / f"{shipped}.yaml").read_text(encoding="utf-8")
+    data = exact(yaml.safe_load(text), timeout)
+    if change is not None:
+        change(data)
+    path = folder / f"{name or shipped}.yaml"
+    path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+    return path, data
+
+
 def stands(folder: Path, names: Sequence[str], timeout: str = TIMEOUT) -> list[Stand]:
     """Make the benches of these bench files, each with a run without faults that counts the exchanges.
 
@@ -124,12 +137,10 @@ def stands(folder: Path, names: Sequence[str], timeout: str = TIMEOUT) -> list[S
     """
     made = []
     for name in names:
-        shipped = (ROOT / "config" / f"{name}.yaml").read_text(encoding="utf-8")
-        data = exact(yaml.safe_load(shipped), timeout)
+        bench_file, data = exact_bench(folder, name, timeout)
         chamber = data["instruments"].get("chamber") or {}
         heated = chamber.get("driver", "manual-chamber") != "manual-chamber"
-        bench_file, procedure = folder / f"{name}.yaml", folder / f"{name}-procedure.yaml"
-        bench_file.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+        procedure = folder / f"{name}-procedure.yaml"
         procedure.write_text(PROCEDURE.format(temperature=TEMPERATURE if heated else ""), encoding="utf-8")
         on_bus = tuple(n for meter in data["instruments"]["voltmeters"] for n in _on_bus(meter))
         bare = Stand(name, bench_file, procedure, {}, {}, on_bus)
@@ -278,9 +289,8 @@ def judge_record(run: Run, outcome: Outcome) -> None:
     outcome.violations += history.problems
     if history.torn:
         outcome.violations.append("the last line of the record is torn")
-    wrong = [
-        text for event in history.events if "reading" in event.data for text in judged(outcome, event.data)
-    ]
+    taken = [event.data for event in history.events if "reading" in event.data]
+    wrong = [text for step in taken for text in judged(outcome, step)]
     outcome.wrong_values += len(wrong)
     outcome.violations += wrong
 
@@ -345,10 +355,8 @@ def draw(count: int, seed: int, benches: Sequence[Stand]) -> list[Trial]:
         kind = KINDS[len(trials) % len(KINDS)]
         stand = generator.choice([b for b in benches if kind == STORM or b.able[kind]])
         if kind == STORM:
-            drawn = tuple(
-                draw_fault(generator, stand, generator.choice([k for k in FaultKind if stand.able[k]]))
-                for _ in range(STORM_FAULTS)
-            )
+            able = [k for k in FaultKind if stand.able[k]]
+            drawn = tuple(draw_fault(generator, stand, generator.choice(able)) for _ in range(STORM_FAULTS))
         else:
             drawn = (draw_fault(generator, stand, FaultKind(kind)),)
         trials.append(Trial(str(len(trials)), stand, kind, drawn))
@@ -390,11 +398,11 @@ def table(outcomes: Sequence[Outcome]) -> str:
     counts: dict[str, Callable[[Sequence[Outcome]], object]] = {
         "runs": len,
         "faults": lambda rows: sum(len(row.trial.faults) for row in rows),
-        "struck": lambda rows: sum(row.struck for row in rows),
-        "completed": lambda rows: sum(row.completed for row in rows),
-        "stopped": lambda rows: sum(not row.completed for row in rows),
-        "resumed": lambda rows: sum(row.resumed for row in rows),
-        "wrong": lambda rows: sum(row.wrong_values for row in rows),
+        "struck": summed("struck"),
+        "completed": summed("completed"),
+        "stopped": lambda rows: len(rows) - summed("completed")(rows),
+        "resumed": summed("resumed"),
+        "wrong": summed("wrong_values"),
         "hangs": lambda rows: sum(map(hangs, rows)),
         "other": lambda rows: sum(len(row.violations) - row.wrong_values - hangs(row) for row in rows),
         "worst, s": lambda rows: f"{max(row.time_s for row in rows):.2f}",

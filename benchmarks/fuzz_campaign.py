@@ -40,14 +40,7 @@ import numpy as np
 from bench.base.text import visible
 from benchmarks.campaign import ROOT, arguments
 from benchmarks.fuzz_edges import MADE_AT_EDGES, python_trial
-from benchmarks.fuzz_inputs import (
-    MADE,
-    WEIRD,
-    Case,
-    spoilt_bytes,
-    spoilt_tree,
-    weird,
-)
+from benchmarks.fuzz_inputs import MADE, WEIRD, Case, spoilt_bytes, spoilt_tree, weird
 
 MAKERS: Final = {**MADE, **MADE_AT_EDGES}
 KINDS: Final = (*MAKERS, "scpi", "answers", "python")
@@ -182,17 +175,7 @@ def spoil_record(rng: random.Random, folder: Path) -> str:
 
     kept = ROOT / "tests/data/records" / rng.choice(("finished", "interrupted"))
     shutil.copytree(kept, folder)
-    name = rng.choice(
-        (
-            "events.jsonl",
-            "events.jsonl",
-            "events.jsonl",
-            "run.json",
-            "plan.json",
-            "bench.yaml",
-            "procedure.yaml",
-        )
-    )
+    name = rng.choice((*["events.jsonl"] * 3, "run.json", "plan.json", "bench.yaml", "procedure.yaml"))
     file = folder / name
     data = file.read_bytes()
     if name != "events.jsonl" or rng.random() < 0.4:
@@ -213,9 +196,8 @@ def spoil_record(rng: random.Random, folder: Path) -> str:
     for _ in range(rng.choice((1, 1, 3))):
         k = rng.randrange(len(lines))
         event = lines[k]
-        lines[k] = (
-            spoilt_tree(rng, event) if rng.random() < 0.5 else {**event, rng.choice(list(event)): weird(rng)}
-        )
+        by_tree = rng.random() < 0.5
+        lines[k] = spoilt_tree(rng, event) if by_tree else {**event, rng.choice(list(event)): weird(rng)}
     if rng.random() < 0.2:
         lines[rng.randrange(len(lines))]["n"] = rng.choice((math.inf, math.nan, 1e300, -1, "1", [1]))
     previous = sha256((folder / "run.json").read_bytes())
@@ -276,7 +258,7 @@ def _scpi(rng: random.Random) -> list[tuple[str, str]]:
     broken, sent = [], []
     for _ in range(rng.randrange(1, 6)):
         units = [
-            f"{rng.choice(_SCPI)}{rng.choice(('', ' ', ' ', '?'))}{rng.choice(_PARAMETERS)}"
+            rng.choice(_SCPI) + rng.choice(("", " ", " ", "?")) + rng.choice(_PARAMETERS)
             for _ in range(rng.choice((1, 1, 2, 5)))
         ]
         message = ";".join(units).encode("latin-1")

@@ -80,12 +80,8 @@ def _unit_case(rng: random.Random) -> Case:
             for k in channels:
                 row[k] = repr(float(row[k]) * factor)
     whole = where is None and len(channels) == 3
-    return Case(
-        [["calibrate", "r.csv"]],
-        {"r.csv": as_csv(rows)},
-        refuse="" if whole else "signals in two units",
-        doubt=("are the signals in" if whole else "seem to be in"),
-    )
+    refuse, doubt = ("", "are the signals in") if whole else ("signals in two units", "seem to be in")
+    return Case([["calibrate", "r.csv"]], {"r.csv": as_csv(rows)}, refuse=refuse, doubt=doubt)
 
 
 def _bench_case(rng: random.Random) -> Case:
@@ -104,9 +100,8 @@ def _bench_case(rng: random.Random) -> Case:
             data = data.replace(f"limit: {kept}", f"limit: {changed}", 1)
             refuse = "digits of another alphabet"
         case _:
-            data = re.sub(
-                r"limit: \S+ \S+", "limit: " + rng.choice(("x ", "1", "9 V ")) * LONG, data, count=1
-            )
+            endless = rng.choice(("x ", "1", "9 V ")) * LONG
+            data = re.sub(r"limit: \S+ \S+", f"limit: {endless}", data, count=1)
             refuse = "a limit of 100 kB"
     return Case([["check", "quick", "--bench", "b.yaml"]], {"b.yaml": data.encode()}, refuse=refuse)
 
@@ -114,9 +109,8 @@ def _bench_case(rng: random.Random) -> Case:
 def _several_case(rng: random.Random) -> Case:
     """Three sources of which one cannot be evaluated: the others are done."""
     good = as_csv(readings())
-    bad = rng.choice(
-        (b"", b"\xff", b"installation\n", good[: rng.randrange(200)], good.replace(b"ux_v", b"u"))
-    )
+    cut, renamed = good[: rng.randrange(200)], good.replace(b"ux_v", b"u")
+    bad = rng.choice((b"", b"\xff", b"installation\n", cut, renamed))
     names = ["a.csv", "bad.csv", "c.csv"]
     rng.shuffle(names)
     command = [rng.choice(("calibrate", "verify")), *names, "--json", "-"]
@@ -145,49 +139,13 @@ def special_case(rng: random.Random) -> Case:
     return Case([command], {"r.csv": as_csv(readings())}, refuse="a pipe that nobody writes", pipes=("pipe",))
 
 
-NOTHING: Final = [
-    line.split()
-    for line in [
-        "\nlearn",
-        " calibrate",
-        " verify",
-        " diagnose",
-        " compare",
-        " show",
-        " resume",
-        " abort",
-        " export",
-        " import",
-        " report",
-        " chart",
-        " batch",
-        " confirm",
-        "\naccept",
-        " compensate",
-        " tumble",
-        " stability",
-        " seal",
-        " key",
-        " certificate",
-        " coefficients",
-        " fleet",
-        " catalogue",
-        " control",
-        " runs",
-        "\nplan-points",
-        " require",
-        " catalogue sync",
-        " catalogue sync none",
-        " catalogue ask",
-        " fleet prior",
-        " batch calibrate",
-        " chart none",
-        "\nlearn none",
-        " runs --runs none",
-        " resume --runs none",
-        " batch calibrate none\n",
-    ]
-]
+_NOTHING = (
+    "learn, calibrate, verify, diagnose, compare, show, resume, abort, export, import, report, chart, batch, "
+    "confirm, accept, compensate, tumble, stability, seal, key, certificate, coefficients, fleet, catalogue, "
+    "control, runs, plan-points, require, catalogue sync, catalogue sync none, catalogue ask, fleet prior, "
+    "batch calibrate, chart none, learn none, runs --runs none, resume --runs none, batch calibrate none"
+)
+NOTHING: Final = [command.split() for command in _NOTHING.split(", ")]
 
 
 def catalogue_case(rng: random.Random) -> Case:

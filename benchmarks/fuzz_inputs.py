@@ -84,25 +84,9 @@ def at(tree: Any, place: Sequence[Any]) -> Any:
 def weird(rng: random.Random) -> Any:
     """Return a value that nobody expects."""
     word = rng.choice(WEIRD)
-    return rng.choice(
-        (
-            word,
-            word,
-            word,
-            None,
-            True,
-            0,
-            -1,
-            1e308,
-            10**25,
-            [],
-            {},
-            [word],
-            [[word]],
-            {word: word},
-            [1, 2, 3, 4],
-        )
-    )
+    numbers = (0, -1, 1e308, 10**25)
+    containers: tuple[Any, ...] = ([], {}, [word], [[word]], {word: word}, [1, 2, 3, 4])
+    return rng.choice((word, word, word, None, True, *numbers, *containers))
 
 
 def spoilt_tree(rng: random.Random, tree: Any) -> Any:
@@ -127,16 +111,18 @@ def spoilt_tree(rng: random.Random, tree: Any) -> Any:
     return tree
 
 
+SIZES: Final = (
+    "0", "-1", "1", "2", "0.5", "-0", "1e-300", "1e300", "1e9", "1e-9", "360", "1000000000", "99999",
+)  # fmt: skip
+
+
 def other_numbers(rng: random.Random, tree: Any) -> Any:
     """Return a tree in which one or two numbers are others, as large, small or many as can be written."""
     tree = copy.deepcopy(tree)
-    numbers = [
-        p for p in places(tree) if isinstance(at(tree, p), str) and re.match(r"[+-]?[\d.]+", at(tree, p))
-    ]
+    texts = [p for p in places(tree) if isinstance(at(tree, p), str)]
+    numbers = [p for p in texts if re.match(r"[+-]?[\d.]+", at(tree, p))]
     for place in rng.sample(numbers, min(len(numbers), rng.choice((1, 1, 2)))):
-        word = rng.choice(
-            ("0", "-1", "1", "2", "0.5", "-0", "1e-300", "1e300", "1e9", "1e-9", "360", "1000000000", "99999")
-        )
+        word = rng.choice(SIZES)
         at(tree, place[:-1])[place[-1]] = re.sub(r"^[+-]?[\d.]+(?:e[+-]?\d+)?", word, at(tree, place))
     return tree
 
@@ -150,11 +136,10 @@ def as_yaml(tree: Any) -> bytes:
 def faulty_yaml(rng: random.Random, tree: Any) -> tuple[bytes, str]:
     """Return a good YAML file with one fault that must be refused, and which."""
     tree = copy.deepcopy(tree)
+    texts = [p for p in places(tree) if isinstance(at(tree, p), str)]
     quantities = [
-        p for p in places(tree)
-        if isinstance(at(tree, p), str) and QUANTITY.fullmatch(at(tree, p))
-        and not _FREE_TEXT & set(map(str, p[-2:]))
-    ]  # fmt: skip
+        p for p in texts if QUANTITY.fullmatch(at(tree, p)) and not _FREE_TEXT & set(map(str, p[-2:]))
+    ]
     match rng.randrange(5):
         case 0 if quantities:
             place = rng.choice(quantities)
@@ -171,9 +156,8 @@ def faulty_yaml(rng: random.Random, tree: Any) -> tuple[bytes, str]:
             key = line.split(b":")[0]
             return text + key + b": again\n", f"{key.decode()} stands twice"
         case 3:
-            return as_yaml(
-                {**tree, rng.choice(("nonsense", "Name", "\x1b", "steps ")): "x"}
-            ), "an unknown key"
+            unknown = rng.choice(("nonsense", "Name", "\x1b", "steps "))
+            return as_yaml({**tree, unknown: "x"}), "an unknown key"
         case _:
             text = as_yaml(tree)
             return text + rng.choice((b"\xff", b"more: [\n", b"more: {a: *b}\n", b"\tx: y\n")), "no YAML"
@@ -231,9 +215,8 @@ def csv_case(rng: random.Random) -> Case:
     refuse = ""
     match rng.randrange(9):
         case 0:
-            rows[row][rng.choice((5, 6, 7))] = word = rng.choice(
-                ("nan", "inf", "9.9e37", "-9.91E37", "", "1,5", "x", "0x1", "1_0")
-            )
+            word = rng.choice(("nan", "inf", "9.9e37", "-9.91E37", "", "1,5", "x", "0x1", "1_0"))
+            rows[row][rng.choice((5, 6, 7))] = word
             refuse = f"a signal {word!r} in row {row}"
         case 1:
             rows[row] += ["1"] if rng.random() < 0.5 else []
@@ -248,9 +231,8 @@ def csv_case(rng: random.Random) -> Case:
             refuse = "" if word == "721" and column in {1, 2} else f"{word} in row {row}"
         case 4:
             column = rng.choice((0, 1, 2, 3, 5, 6, 7))
-            rows[0][column] = rng.choice(
-                [w for w in ("x", "angle_deg", "ux_v", "ux_mv") if w != rows[0][column]]
-            )
+            names = [w for w in ("x", "angle_deg", "ux_v", "ux_mv") if w != rows[0][column]]
+            rows[0][column] = rng.choice(names)
             refuse = "a column that lacks or stands twice"
         case 5 | 6:
             rows[row if rng.random() < 0.7 else 0][column] = rng.choice(WEIRD)
@@ -259,14 +241,8 @@ def csv_case(rng: random.Random) -> Case:
     data = as_csv(rows)
     if refuse == "" and rng.random() < 0.6:
         data = spoilt_bytes(rng, data)
-    command = rng.choice(
-        (
-            ["calibrate", "r.csv", "--json", "-"],
-            ["calibrate", "r.csv", "--json", "-"],
-            ["verify", "r.csv"],
-            ["import", "r.csv", "--name", "r"],
-        )
-    )
+    calibrate = ["calibrate", "r.csv", "--json", "-"]
+    command = rng.choice((calibrate, calibrate, ["verify", "r.csv"], ["import", "r.csv", "--name", "r"]))
     commands = [command]
     if not refuse and rng.random() < 0.2:
         commands[0] = ["calibrate", "r.csv", "--skip-bad-rows", "--json", "-"]
@@ -282,6 +258,11 @@ def result() -> dict[str, Any]:
     names = ("unit", "g_m_s2", "per", "made_at", "simulated", "coefficients", "order", "covariance", "noise")
     kept = {name: whole[name] for name in names}
     return {**kept, "g_m_s2": 9.81, "simulated": False, "unit_under_test": {"type": "T", "serial": "1"}}
+
+
+PLACES: Final[tuple[tuple[Any, ...], ...]] = (
+    ("g_m_s2",), ("noise", "reading_v"), ("coefficients", "Kxx", "value"), ("unit",), ("order", 3),
+)  # fmt: skip
 
 
 def json_case(rng: random.Random) -> Case:
@@ -307,18 +288,9 @@ def json_case(rng: random.Random) -> Case:
             tree["covariance"] = (whole - 1.1 * (along @ whole @ along) * np.outer(along, along)).tolist()
             refuse = "a combination of negative variance"
         case 4:
-            where = rng.choice(
-                (
-                    ("g_m_s2",),
-                    ("noise", "reading_v"),
-                    ("coefficients", "Kxx", "value"),
-                    ("unit",),
-                    ("order", 3),
-                )
-            )
-            at(tree, where[:-1])[where[-1]] = rng.choice(
-                (None, "x", True, [], -1e9 if where[0] in {"g_m_s2", "noise"} else {})
-            )
+            where = rng.choice(PLACES)
+            no_size: Any = -1e9 if where[0] in {"g_m_s2", "noise"} else {}
+            at(tree, where[:-1])[where[-1]] = rng.choice((None, "x", True, [], no_size))
             refuse = f"nonsense at {where}"
         case 5:
             word = rng.choice((b"NaN", b"Infinity", b"-Infinity", b"1e999"))
@@ -328,16 +300,12 @@ def json_case(rng: random.Random) -> Case:
             data = json.dumps(tree).encode().replace(b'"unit": "V"', b'"unit": "V", "unit": "V"', 1)
             refuse = "a key that stands twice"
         case 7:
-            data = json.dumps(spoilt_tree(rng, tree), ensure_ascii=rng.random() < 0.5).encode(
-                "utf-8", "surrogatepass"
-            )
+            text = json.dumps(spoilt_tree(rng, tree), ensure_ascii=rng.random() < 0.5)
+            data = text.encode("utf-8", "surrogatepass")
         case _:
             data = spoilt_bytes(rng, json.dumps(tree).encode())
-    files = {
-        "c.json": data or json.dumps(tree).encode(),
-        "d.json": json.dumps(result()).encode(),
-        "r.csv": as_csv(readings()),
-    }
+    files = {"c.json": data or json.dumps(tree).encode(), "d.json": json.dumps(result()).encode()}
+    files["r.csv"] = as_csv(readings())
     commands = [
         ["verify", "r.csv", "--coefficients", "c.json", "--json", "-"],
         ["compare", "c.json", "d.json", "--json", "-"],
@@ -381,21 +349,15 @@ def procedure_case(rng: random.Random) -> Case:
     if rng.random() < 0.2:
         part = {"steps": tree["steps"]}
         inside, refuse = _yaml_case(rng, part)
-        files = {
-            "p.yaml": as_yaml({**tree, "steps": [{"include": rng.choice(("q.yaml", "./q.yaml"))}]}),
-            "q.yaml": inside,
-        }
+        steps = [{"include": rng.choice(("q.yaml", "./q.yaml"))}]
+        files = {"p.yaml": as_yaml({**tree, "steps": steps}), "q.yaml": inside}
     elif rng.random() < 0.05:
-        name = rng.choice(
-            ("/etc/passwd", "/dev/zero", "p.yaml", ".", "", "a\0.yaml", "x" * 400 + ".yaml", "\ud800.yaml")
-        )
+        odd = ("a\0.yaml", "x" * 400 + ".yaml", "\ud800.yaml")
+        name = rng.choice(("/etc/passwd", "/dev/zero", "p.yaml", ".", "", *odd))
         files = {"p.yaml": as_yaml({**tree, "steps": [{"include": name}]})}
         refuse = f"include: {name!r}"
-    return Case(
-        [["check", "p.yaml", "--bench", rng.choice(("paper-stand", "bench-lan", "bench-motorised"))]],
-        files,
-        refuse=refuse,
-    )
+    bench = rng.choice(("paper-stand", "bench-lan", "bench-motorised"))
+    return Case([["check", "p.yaml", "--bench", bench]], files, refuse=refuse)
 
 
 MODEL: Final = {
@@ -412,11 +374,8 @@ MODEL: Final = {
 def model_case(rng: random.Random) -> Case:
     """A model file: to be calibrated with."""
     data, refuse = _yaml_case(rng, MODEL)
-    return Case(
-        [["calibrate", "r.csv", "--model", "m.yaml", "--json", "-"]],
-        {"m.yaml": data, "r.csv": as_csv(readings())},
-        refuse=refuse,
-    )
+    command = ["calibrate", "r.csv", "--model", "m.yaml", "--json", "-"]
+    return Case([command], {"m.yaml": data, "r.csv": as_csv(readings())}, refuse=refuse)
 
 
 # --- records, names ------------------------------------------------------------------------------------
@@ -441,32 +400,24 @@ def name_case(rng: random.Random) -> Case:
     name = rng.choice(NAMES) if rng.random() < 0.7 else rng.choice(NAMES) + rng.choice(NAMES)
     files = {"r.csv": as_csv(readings()), "p.yaml": b"procedure: p\nsteps: [{wait: {for: 1 s}}]\n"}
     run = ["run", "p.yaml", "--dry-run", "--name", "run"]
+    calibrate = ["calibrate", "r.csv"]
     commands = rng.choice((
-        [["import", "r.csv", "--name", name], ["runs"]],
-        [[*run, "--operator", name], ["show", "run"], ["runs"]],
-        [["calibrate", name]], [["calibrate", "r.csv", "--bench", name]], [["check", name]],
-        [["show", name, "--runs", name]],
-        [["calibrate", "r.csv", "--json", name]], [["calibrate", "r.csv", "--model", name]], [["verify",
-        "r.csv", "--coefficients", name]],
-        [["verify", "r.csv", "--limit", name]], [["calibrate", "r.csv", "--g", name]], [["calibrate",
-        "r.csv", "--estimator", name]],
-        [["control", name, name]], [["compare", "r.csv", "r.csv", "--date", name, "--date", name]],
-        [["abort", name]], [["init", name]],
-        [[*run[:3], "--name", name]], [[name, name]], [["resume", "--runs", name]], [["report", "r.csv",
-        "--out", name]],
+        [["import", "r.csv", "--name", name], ["runs"]], [[*run, "--operator", name], ["show", "run"], ["runs"]],
+        [["calibrate", name]], [[*calibrate, "--bench", name]], [["check", name]], [["show", name, "--runs", name]],
+        [[*calibrate, "--json", name]], [[*calibrate, "--model", name]],
+        [["verify", "r.csv", "--coefficients", name]], [["verify", "r.csv", "--limit", name]],
+        [[*calibrate, "--g", name]], [[*calibrate, "--estimator", name]], [["control", name, name]],
+        [["compare", "r.csv", "r.csv", "--date", name, "--date", name]], [["abort", name]], [["init", name]],
+        [[*run[:3], "--name", name]], [[name, name]], [["resume", "--runs", name]],
+        [["report", "r.csv", "--out", name]],
     ))  # fmt: skip
-    refuse = (
-        "an operator's name that is no text"
-        if "--operator" in commands[0] and re.search("[\ud800-\udfff]", name)
-        else ""
-    )
+    refuse = ""
+    if "--operator" in commands[0] and re.search("[\ud800-\udfff]", name):
+        refuse = "an operator's name that is no text"
     if commands[0][0] == "import" and not re.fullmatch(r"\w[\w.+-]{0,99}", name) and not name.startswith("-"):
         refuse = "a run's name" if name else ""
-    return Case(
-        [[a.replace("\0", "") for a in command] for command in commands],
-        files,
-        refuse=refuse if "\0" not in name else "",
-    )
+    given = [[word.replace("\0", "") for word in command] for command in commands]
+    return Case(given, files, refuse=refuse if "\0" not in name else "")
 
 
 MADE: Final[dict[str, Callable[[random.Random], Case]]] = {

@@ -35,22 +35,14 @@ from tests.support.learning_bench import KINDS, STATED, Bench, simulate
 from tests.support.paper_bench import ARCSEC
 
 AXES = {
-    "1T90": ("y", "-x", "z"),
-    "2T90": ("-y", "z", "-x"),
-    "1T180": ("-x", "-y", "z"),
-    "2T180": ("x", "z", "-y"),
-}
+    "1T90": ("y", "-x", "z"), "2T90": ("-y", "z", "-x"), "1T180": ("-x", "-y", "z"), "2T180": ("x", "z", "-y"),
+}  # fmt: skip
 MODEL = ForwardModel(
     {"1": INSTALLATION_1, "2": INSTALLATION_2}
     | {label: Installation.from_axes(label, axes) for label, axes in AXES.items()}
 )
 OWN: dict[str, dict[str, dict[int, float]]] = {"K2": {"K2": {3: 1e-4}}, "drift": {"drift": {3: 1e-3}}, "": {}}
-WAVES = (
-    "head_eccentricity.cosine",
-    "head_eccentricity.sine",
-    "head_ellipticity.cosine",
-    "head_ellipticity.sine",
-)
+WAVES = [f"head_{what}.{part}" for what in ("eccentricity", "ellipticity") for part in ("cosine", "sine")]
 
 
 def truths(bench: Bench) -> dict[str, float]:
@@ -68,14 +60,8 @@ def scores(found: Learned, bench: Bench) -> list[tuple[str, float, float, float]
     for size in found.sizes():
         if size.told and true.get(size.name):
             error = size.value - true[size.name]
-            rows.append(
-                (
-                    size.name,
-                    size.u / max(abs(size.value), 1e-300),
-                    error / abs(true[size.name]),
-                    error / size.u,
-                )
-            )
+            of_size = size.u / max(abs(size.value), 1e-300)
+            rows.append((size.name, of_size, error / abs(true[size.name]), error / size.u))
     return rows
 
 
@@ -142,12 +128,8 @@ def show_exchanged(asked: argparse.Namespace) -> None:
     for extra in (0.0, 1.0, 5.0):
         rows = exchanged_meters(np.random.default_rng(asked.seed), asked.runs, asked.exchange, extra)
         for what, z, part in (("gain", rows[:, 0], rows[:, 1]), ("zero", rows[:, 2], rows[:, 3])):
-            good = int(np.sum(np.abs(z) <= 2))
-            share = Share(good, len(z))
-            print(
-                f"{extra:15g}{what:>10}{np.sqrt(np.mean(z**2)):8.3f}{share!s:>38}{np.median(part):10.3f}",
-                flush=True,
-            )
+            share, size = Share.true(np.abs(z) <= 2), np.sqrt(np.mean(z**2))
+            print(f"{extra:15g}{what:>10}{size:8.3f}{share!s:>38}{np.median(part):10.3f}", flush=True)
 
 
 def main() -> int:
@@ -190,21 +172,14 @@ def main() -> int:
 
 
 def show(
-    rows: list[tuple[str, float, float, float]],
-    named: int,
-    wrongly: int,
-    benches: int,
+    rows: list[tuple[str, float, float, float]], named: int, wrongly: int, benches: int,
     asked: argparse.Namespace,
-) -> None:
+) -> None:  # fmt: skip
     sharp = np.array([abs(row[2]) for row in rows if row[1] <= 0.10])
     other = np.array([abs(row[3]) for row in rows if row[1] > 0.10])
     print(f"--- {benches} benches of {asked.blocks} runs")
-    within, less = int(np.sum(sharp <= 0.2)), int(np.sum(other <= 2))
-    for what, good, of in (
-        ("u <= 10 %: within 20 %", within, len(sharp)),
-        ("others: |z| <= 2", less, len(other)),
-    ):
-        print(f"{what:24} {Share(good, of)}")
+    print(f"{'u <= 10 %: within 20 %':24} {Share.true(sharp <= 0.2)}")
+    print(f"{'others: |z| <= 2':24} {Share.true(other <= 2)}")
     print(f"{'size':28}{'n':>6}{'rms z':>8}{'|z|<=2':>8}{'median u/size':>15}")
     for name in dict.fromkeys(row[0] for row in rows):
         own = np.array([row[1:] for row in rows if row[0] == name])

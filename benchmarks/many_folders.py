@@ -35,8 +35,7 @@ from bench.model.geometry import (
     Installation,
     specific_force_on_platform,
 )
-from benchmarks.campaign import arguments
-from benchmarks.certificate_desk import done
+from benchmarks.campaign import arguments, done
 from drivers.clock import utc_now
 
 # --- the truth: units that drift, benches with effects, what their stands then read ----------------------

@@ -78,6 +78,7 @@ FIELDS = (
     "do", "to", "wish", "reason", "id", "text", "procedure", "bench", "unit", "operator", "name",
     "dry_run", "token", "link", "next", "csrf",
 )  # fmt: skip
+BODIES = (b"null", b"[]", b'{"a": {"b": 1}}', b'{"do": 1}', b'"\\ud800"', b'{"do": "\\ud800"}', b"NaN")
 ORIGINS = ("null", "http://evil.example", "https://127.0.0.1:8741", HOME + ".evil", HOME + "/", "", "\xff")
 KINDS = (
     "application/x-www-form-urlencoded", "application/json", "multipart/form-data; boundary=x",
@@ -120,9 +121,8 @@ class Request:
         }  # fmt: skip
 
     def __str__(self) -> str:
-        return (
-            f"{self.who}: {self.method!r} {self.path[:60]!r} {self.query[:40]!r} {b''.join(self.body)[:80]!r}"
-        )
+        sent = b"".join(self.body)[:80]
+        return f"{self.who}: {self.method!r} {self.path[:60]!r} {self.query[:40]!r} {sent!r}"
 
 
 class Requests:
@@ -139,9 +139,8 @@ class Requests:
         method = draw.choice(METHODS) if draw.random() < 0.1 else draw.choice(("GET", "POST", "POST"))
         path = self._path()
         right_origin, right_form, right_host = (draw.random() < part for part in (0.75, 0.75, 0.9))
-        headers = [
-            (b"host", HOST.encode() if right_host else self._bytes(("evil.example", "", "\xff", HOST + "x")))
-        ]
+        host = HOST.encode() if right_host else self._bytes(("evil.example", "", "\xff", HOST + "x"))
+        headers = [(b"host", host)]
         if right_origin:
             headers.append((b"origin", HOME.encode()))
         elif draw.random() < 0.8:
@@ -169,11 +168,8 @@ class Requests:
     def raw(self, host: str) -> bytes:
         """Return bytes that are nearly a request, as they come over a wire."""
         draw = self._random
-        path = (
-            quote(self._path(), safe="/%.\\~", errors="replace")
-            if draw.random() < 0.8
-            else draw.choice(WORDS)
-        )
+        real = draw.random() < 0.8
+        path = quote(self._path(), safe="/%.\\~", errors="replace") if real else draw.choice(WORDS)
         lines = [f"{draw.choice(METHODS)} {path} HTTP/{draw.choice(('1.1', '1.0', '2', '9.9', ''))}"]
         lines += [f"Host: {host}"] * draw.choice((0, 1, 1, 1, 2))
         for _ in range(draw.randrange(4)):
@@ -211,12 +207,8 @@ class Requests:
             return True
         if draw.random() < 0.3:
             name = actor.cookie or COOKIE
-            headers.append(
-                (
-                    b"cookie",
-                    self._bytes((f"{name}=", f"{name}={'x' * 9000}", "\xff\xfe", "=;=;=", f"{name}=\x00")),
-                )
-            )
+            broken = (f"{name}=", f"{name}={'x' * 9000}", "\xff\xfe", "=;=;=", f"{name}=\x00")
+            headers.append((b"cookie", self._bytes(broken)))
         return False
 
     def _sent(self) -> dict[str, str]:
@@ -236,17 +228,7 @@ class Requests:
             case 2:
                 whole = b"[" * draw.choice((10, 60_000))
             case 3:
-                whole = draw.choice(
-                    (
-                        b"null",
-                        b"[]",
-                        b'{"a": {"b": 1}}',
-                        b'{"do": 1}',
-                        b'"\\ud800"',
-                        b'{"do": "\\ud800"}',
-                        b"NaN",
-                    )
-                )
+                whole = draw.choice(BODIES)
             case 5:  # thousands of keys, one of them twice
                 many = {f"{key:06x}": "" for key in range(draw.choice((41, 4000)))}
                 whole = json.dumps(many)[:-1].encode() + draw.choice((b"}", b', "00002a": ""}'))
@@ -264,9 +246,8 @@ class Requests:
         if draw.random() < 0.05:
             headers.append((b"transfer-encoding", self._bytes(("chunked", "gzip, chunked", "x", "\xff"))))
         if draw.random() < 0.5:
-            headers.append(
-                (b"accept", self._bytes(("application/json", "text/html", "text/event-stream", "\xff")))
-            )
+            accepted = ("application/json", "text/html", "text/event-stream", "\xff")
+            headers.append((b"accept", self._bytes(accepted)))
         for _ in range(draw.choice((0, 0, 0, 50))):
             headers.append((b"x-" + draw.randbytes(3).hex().encode(), draw.randbytes(20)))
 
@@ -282,17 +263,11 @@ MAY_CHANGE = {"holding.jsonl", "answers.jsonl", "control.jsonl", ".holding.jsonl
 """What a person with the right to may bring about in a run's folder."""
 
 QUESTION = Prompt(
-    id="1@1",
-    kind=PromptKind.ANGLE,
-    text="Turn to 120° 30′ 15″",
+    "1@1", PromptKind.ANGLE, "Turn to 120° 30′ 15″",
     action={
-        "do": "turn",
-        "target_rad": math.radians(120 + 30.25 / 60),
-        "tolerance_rad": 1e-3,
-        "direction": 1,
+        "do": "turn", "target_rad": math.radians(120 + 30.25 / 60), "tolerance_rad": 1e-3, "direction": 1,
     },
-)
-
+)  # fmt: skip
 TOLD = 5
 """So many of the slowest requests are told."""
 
@@ -349,9 +324,8 @@ class Place:
         self.actors[1] = Actor("revoked", revoked.person, revoked.token, cookie, revoked=True)
         token = access.new_token("looker", Role.VIEWER)
         self.actors.append(Actor("looker", access.sign_in_by_token(token), token, cookie))
-        self.record, history = Record.reopen(
-            self.runs / "alive", utc_now
-        )  # somebody carries it out, and asks
+        # somebody carries it out, and asks
+        self.record, history = Record.reopen(self.runs / "alive", utc_now)
         bench_s = history.events[-1].bench_s
         self.record.append("run_resumed", bench_s, step=1, instruments={})
         self.record.append("asked", bench_s, **asked_to_json(QUESTION))
@@ -379,11 +353,8 @@ class Place:
             if line["role"] == Role.VIEWER and line["wish"] != "stop":
                 wrong.append(f"a viewer's wish was left: {line}")
         for line in _lines(self.runs / "alive" / ANSWERS):
-            if (
-                line["role"] == Role.VIEWER
-                or line["id"] != QUESTION.id
-                or problem_with_answer(QUESTION, line["answer"])
-            ):
+            fits = line["id"] == QUESTION.id and not problem_with_answer(QUESTION, line["answer"])
+            if line["role"] == Role.VIEWER or not fits:
                 wrong.append(f"an answer was left that does not fit: {line}")
         for journal in self.runs.glob(f"*/{JOURNAL}"):
             holder = ""
@@ -432,10 +403,8 @@ async def send(app: Any, request: Request) -> tuple[int, bytes]:
 
 async def fuzz(place: Place, count: int, seed: int) -> Outcome:
     """Send `count` requests and return what became of them."""
-    outcome, requests = (
-        Outcome(),
-        Requests(seed, place.actors, sorted(run.name for run in place.runs.iterdir())),
-    )
+    names = sorted(run.name for run in place.runs.iterdir())
+    outcome, requests = Outcome(), Requests(seed, place.actors, names)
     prepare(place.app.state.panel)
     before, quarter = place.tree(), 0
     tracemalloc.start()
@@ -482,9 +451,8 @@ def judged(
     # a lock that is made where there was none is no change of anything
     changed = {path for path in changed if not path.endswith(".lock")}
     if (changed or started) and not request.entitled:
-        wrong.append(
-            f"{request}: changed {sorted(changed)}, started {started} without the right to ({status})"
-        )
+        done = f"changed {sorted(changed)}, started {started}"
+        wrong.append(f"{request}: {done} without the right to ({status})")
     if any(not place.allowed(path, request) for path in changed):
         wrong.append(f"{request}: changed {sorted(changed)} ({status})")
     if request.method in CHANGES and not request.entitled and status < 300:

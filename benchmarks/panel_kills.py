@@ -45,24 +45,6 @@ class Outcome:
     wrong: list[str] = field(default_factory=list)
 
 
-class Panel:
-    """A panel that is killed and begun again at the same port."""
-
-    def __init__(self, runs: Path) -> None:
-        self.runs = runs
-        self.started = begin_panel(runs, [0])
-        self.url = url_of(runs)
-
-    def kill(self) -> None:
-        """Kill it."""
-        os.kill(self.started.process.pid, signal.SIGKILL)
-        self.started.process.wait()
-
-    def again(self) -> None:
-        """Begin it again."""
-        self.started = begin_panel(self.runs, [int(self.url.rpartition(":")[2])])
-
-
 class Person:
     """Somebody signed in once, before the first kill."""
 
@@ -102,8 +84,17 @@ class Campaign:
     def __init__(self, runs: Path, seed: int) -> None:
         self.runs, self.random, self.outcome = runs, random.Random(seed), Outcome()  # noqa: S311 - to be repeated
         token = Access(runs / STATE).new_token("anna", Role.OPERATOR)
-        self.panel = Panel(runs)
-        self.person = Person(self.panel.url, token)
+        self.panel = begin_panel(runs, [0])
+        self.person = Person(url_of(runs), token)
+
+    def amiss(self, sentence: str) -> None:
+        """Take note of what went wrong."""
+        self.outcome.wrong.append(sentence)
+
+    def kill(self) -> None:
+        """Kill the panel."""
+        os.kill(self.panel.process.pid, signal.SIGKILL)
+        self.panel.process.wait()
 
     def begin_run(self, procedure: str) -> tuple[str, Started]:
         """Begin a run that asks in its folder, and take control of it."""
@@ -117,7 +108,7 @@ class Campaign:
 
     def kill_and_check(self, name: str, runner: Started) -> None:
         """Answer until the panel is killed at a random moment; begin it again and look."""
-        timer = threading.Timer(self.random.uniform(0.0, 1.5), self.panel.kill)
+        timer = threading.Timer(self.random.uniform(0.0, 1.5), self.kill)
         timer.start()
         while timer.is_alive():
             self.answer_one(name)
@@ -125,10 +116,8 @@ class Campaign:
         timer.join()
         self.outcome.kills += 1
         if runner.status not in {None, 0, 1}:
-            self.outcome.wrong.append(
-                f"{name}: the program ended with {runner.status}: {runner.last_words()}"
-            )
-        self.panel.again()
+            self.amiss(f"{name}: the program ended with {runner.status}: {runner.last_words()}")
+        self.panel = begin_panel(self.runs, [int(url_of(self.runs).rpartition(":")[2])])
         self.check(name)
 
     def answer_one(self, name: str) -> None:
@@ -140,7 +129,7 @@ class Campaign:
                 self.outcome.answered += status == 200
                 self.outcome.refused += status == 409
                 if status not in {200, 409}:
-                    self.outcome.wrong.append(f"{name}: {prompt['text']}: answered {status}")
+                    self.amiss(f"{name}: {prompt['text']}: answered {status}")
         except httpx.HTTPError:
             self.outcome.cut += 1
 
@@ -148,15 +137,15 @@ class Campaign:
         """Look whether all is as it was."""
         told = self.person.state(name)
         if told["control"]["holder"] != "anna":
-            self.outcome.wrong.append(f"{name}: in control is {told['control']['holder']} after a restart")
+            self.amiss(f"{name}: in control is {told['control']['holder']} after a restart")
         history = Run(self.runs / name).history
         if history.problems:
-            self.outcome.wrong.append(f"{name}: {history.problems}")
+            self.amiss(f"{name}: {history.problems}")
         if is_being_written(self.runs / name):
             try:
                 until(lambda: self._same_question(name), 20.0)
             except TimeoutError:
-                self.outcome.wrong.append(f"{name}: the panel shows another question than stands")
+                self.amiss(f"{name}: the panel shows another question than stands")
         self.check_answers(name)
 
     def _same_question(self, name: str) -> bool:
@@ -175,19 +164,27 @@ class Campaign:
                 asked.add(event.data["id"])
             elif event.type == "answered":
                 if event.data["id"] in answered or event.data["id"] not in asked:
-                    self.outcome.wrong.append(f"{name}: {event.data['id']} was answered twice, or unasked")
+                    self.amiss(f"{name}: {event.data['id']} was answered twice, or unasked")
                 answered.add(event.data["id"])
 
-    def finish(self, name: str, runner: Started) -> None:
-        """Answer what is left, and look at what came of it."""
+    def finish(self, name: str, runner: Started | None) -> None:
+        """Answer what is left, and look at what came of it; of a run that is resumed the runner is not known."""
         until_s = time.monotonic() + PATIENCE_S
-        while runner.status is None and time.monotonic() < until_s:
+        while time.monotonic() < until_s:
             self.answer_one(name)
             time.sleep(0.02)
+            ended = (
+                Run(self.runs / name).history.state == "finished"
+                if runner is None
+                else runner.status is not None
+            )
+            if ended:
+                break
         self.check_answers(name)
         history = Run(self.runs / name).history
-        if history.state != "finished" or history.problems or runner.status not in {0, 1}:
-            self.outcome.wrong.append(f"{name}: {history.state}, {history.problems}: {runner.last_words()}")
+        if history.state != "finished" or history.problems or (runner and runner.status not in {0, 1}):
+            said = runner.last_words() if runner else "after its program was killed"
+            self.amiss(f"{name}: {history.state}, {history.problems}: {said}")
 
     def kill_the_runner(self) -> None:
         """Kill the program that carries out a run: the panel says so, and goes on with it."""
@@ -198,19 +195,10 @@ class Campaign:
         os.kill(runner.process.pid, signal.SIGKILL)
         until(lambda: self.person.state(name)["alive"] is False)
         status = self.person.post(name, "resume")
-        if status != 200:
-            self.outcome.wrong.append(f"{name}: resuming it was answered {status}")
-            return
-        until_s = time.monotonic() + PATIENCE_S
-        while Run(self.runs / name).history.state != "finished" and time.monotonic() < until_s:
-            self.answer_one(name)
-            time.sleep(0.02)
-        self.check_answers(name)
-        history = Run(self.runs / name).history
-        if history.state != "finished" or history.problems:
-            self.outcome.wrong.append(
-                f"{name}: after its program was killed {history.state}, {history.problems}"
-            )
+        if status == 200:
+            self.finish(name, None)
+        else:
+            self.amiss(f"{name}: resuming it was answered {status}")
 
 
 def until(true: Any, patience_s: float = PATIENCE_S) -> None:
@@ -240,7 +228,7 @@ def campaign(runs: Path, kills: int, seed: int) -> Outcome:
         one.finish(name, runner)
         one.kill_the_runner()
     finally:
-        one.panel.kill()
+        one.kill()
     return one.outcome
 
 

@@ -26,7 +26,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 import yaml
 
@@ -115,11 +115,8 @@ class Served:
 
     def __init__(self, folder: Path) -> None:
         data = yaml.safe_load((ROOT / "config/bench-motorised.yaml").read_text(encoding="utf-8"))
-        sections = [
-            *data["instruments"]["voltmeters"],
-            data["instruments"]["head"],
-            data["instruments"]["chamber"],
-        ]
+        having = data["instruments"]
+        sections = [*having["voltmeters"], having["head"], having["chamber"]]
         data["instruments"]["head"] |= {"speed": "120 deg/s", "settle": "0.2 s"}
         for section in sections:
             section["timeout"] = TIMEOUT
@@ -180,22 +177,15 @@ class Process:
                 command, stdin=slave, stdout=slave, stderr=self.err, **options
             )
             os.close(slave)
-            self._answers: IO[str] | None = None
             threading.Thread(target=self._answer, daemon=True).start()
             return
-        self.popen = subprocess.Popen(  # noqa: S603 - our own program
-            [*PROGRAM, *arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=self.err,
-            text=True,
-            **options,
-        )
-        self._answers = self.popen.stdin
-        if self._answers is not None:
+        streams: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "text": True}
+        command = [*PROGRAM, *arguments]
+        self.popen = subprocess.Popen(command, stderr=self.err, **streams, **options)  # noqa: S603 - our own
+        if self.popen.stdin is not None:
             with suppress(OSError):
-                self._answers.write("yes\n" * 20)
-                self._answers.flush()
+                self.popen.stdin.write("yes\n" * 20)
+                self.popen.stdin.flush()
 
     def _answer(self) -> None:
         """Type yes at the terminal, again and again, and read what stands there."""

@@ -5,6 +5,8 @@
     python -m benchmarks.signed_uncertainty --cases all all-wandering temperature wandering --runs 1000
     python -m benchmarks.signed_uncertainty --pairs 2000 --cases roll meters temperature all
     python -m benchmarks.signed_uncertainty --bound 600
+    python -m benchmarks.signed_uncertainty --few 2000
+    python -m benchmarks.signed_uncertainty --clean 1500
 
 For each case (tests/support/whole_truth.py, whose truth shares nothing with the model): root mean square of
 (estimate - truth)/u of each coefficient, with the combined u and with that of the readings, coverage of k = 2,
@@ -14,7 +16,14 @@ a run, of which the bench file says nothing; in the cases that are called wander
 correlation time that the bench file states. `--pairs`: how often two calibrations of a
 block that was remounted are said to differ, and how often a change of six standard uncertainties of the difference
 in one coefficient is found. `--bound`: runs with noise and stand alone beside the fit that is told the sizes of the
-noise, whose u is the Cramer-Rao bound. Exit status 1 where a bar is broken.
+noise, whose u is the Cramer-Rao bound.
+
+`--few` runs of each design that leaves hardly a degree of freedom (2+2, 3+2, 3+3, 4+2 readings) have the bench's
+sizes of the noise stated. With noise drawn from the prior that the program states: coverage of U (promised: 0.93
+of all coefficients, 0.91 of each) and refusals (promised: 1 % at most); at twice the stated noise the result says
+that it rests on the statement (promised: always), and how often that the readings disagree. `--clean` runs, of
+alike and of unlike channels, have nothing that readings share: how often a component is taken in (promised: 1 %,
+within the binomial limit of 99 %). Exit status 1 where a bar is broken.
 """
 
 from __future__ import annotations
@@ -33,7 +42,8 @@ from bench.base.arrays import Floats
 from bench.calibration import calibrate
 from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import delta_g_contributions, sign
-from bench.calibration.result import Calibration, Noise
+from bench.calibration.components import ASKED_P
+from bench.calibration.result import COVERAGE_FACTOR, Calibration, Noise
 from bench.config.bench_file.stand import UncertaintySection
 from bench.history.comparison import Snapshot, compare
 from bench.model import ForwardModel
@@ -41,6 +51,7 @@ from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import VERIFICATION, Readings
 from bench.services.face import load_bench
 from benchmarks.campaign import arguments, finish, outside, parts_of, rms, show_by_coefficient
+from tests.support.honest_runs import FEW, components_taken, run_few
 from tests.support.paper_bench import SETTING_U_RAD
 from tests.support.whole_truth import CASES, EVERYTHING, WANDERING, Bench, simulate_whole
 
@@ -177,6 +188,15 @@ def _snapshot(found: Calibration, name: str) -> Snapshot:
     )  # fmt: skip
 
 
+def show_pairs(case: str, parts: list[Any]) -> list[str]:
+    n, differ, changed, found = (sum(column) for column in zip(*parts, strict=True))
+    upper = float(stats.beta.ppf(0.99, differ + 1, n - differ))
+    share = f"{differ / n:.3f}, upper 99 % {upper:.3f}"
+    print(f"{case}: {differ} of {n} pairs said to differ ({share}), {found} of {changed} changes found")
+    broken = [f"{case}: differ in {upper:.3f}"] * (upper > 0.07)
+    return broken + [f"{case}: found {found} of {changed}"] * (found < 0.98 * changed)
+
+
 def beside_bound(seed: int, numbers: range) -> tuple[Floats, Floats, Floats, Floats]:
     """Return errors of the fit and of the one that knows the noise (runs, 12), u of the readings, the bound."""
     known = Noise(1e-4, SETTING_U_RAD, np.inf, "given")
@@ -207,14 +227,68 @@ def show_bound(parts: list[Any], runs: int) -> list[str]:
     ]
 
 
+# --- few readings, and clean ones ---------------------------------------------------------------------
+
+
+def _few(seed: int, design: str, times: float | None, numbers: range) -> Any:
+    return run_few(seed, numbers, design, times)
+
+
+def _clean(seed: int, case: str, numbers: range) -> int:
+    return components_taken(seed, numbers, case)
+
+
+def few(seed: int, count: int, workers: int) -> list[str]:
+    """Calibrate few readings: coverage at noise as the program states it, and what is said at twice as much."""
+    broken = []
+    for design in FEW:
+        for times, what in ((None, "drawn from the prior"), (2.0, "twice the stated")):
+            parts = parts_of(partial(_few, seed, design, times), count, workers)
+            error, u, rests, disagrees = (
+                np.concatenate([getattr(part, name) for part in parts])
+                for name in ("error", "u", "rests", "disagrees")
+            )
+            refused = [text for part in parts for text in part.refused]
+            covered = np.mean(np.abs(error) <= COVERAGE_FACTOR * u, axis=0)
+            print(
+                f"{design}, noise {what}: coverage {covered.mean():.3f}, least {covered.min():.3f} "
+                f"({COEFFICIENTS[int(covered.argmin())]}), {len(refused)} of {count} refused; rests on the "
+                f"statement {rests.mean():.3f}, the readings disagree {disagrees.mean():.3f}",
+                flush=True,
+            )
+            broken += (
+                [f"{design}: {len(refused)} refused: {refused[0]}"] if len(refused) > 0.01 * count else []
+            )
+            broken += [] if rests.all() else [f"{design}: not always said to rest on the statement"]
+            if times is None and (covered.mean() < 0.93 or covered.min() < 0.91):
+                broken.append(f"{design}: coverage {covered.mean():.3f}, least {covered.min():.3f}")
+    return broken
+
+
+def clean(seed: int, count: int, workers: int) -> list[str]:
+    """Calibrate runs of which the readings share nothing: how often a component is taken in for nothing."""
+    broken = []
+    for case, what in (("stand", "alike"), ("noise", "unlike")):
+        taken = sum(parts_of(partial(_clean, seed, case), count, workers))
+        most = int(stats.binom.ppf(0.99, count, ASKED_P))
+        print(f"{taken} of {count} clean runs of {what} channels have a component, {most} at most at 1 %")
+        broken += [f"{what} channels: components in {taken} of {count} clean runs"] if taken > most else []
+    return broken
+
+
 def main() -> int:
     given = arguments(
         __doc__, cases={"nargs": "+", "choices": CASES, "default": list(CASES)}, runs=2500, pairs=0,
-        bound=0, workers=2, seed=1,
+        bound=0, few=(0, "runs of each design with few readings"), workers=2, seed=1,
+        clean=(0, "runs of which the readings share nothing"),
     )  # fmt: skip
     broken: list[str] = []
     begun = time.perf_counter()
     count = given.bound or given.pairs or given.runs
+    if given.few or given.clean:
+        broken += few(given.seed, given.few, given.workers) if given.few else []
+        broken += clean(given.seed, given.clean, given.workers) if given.clean else []
+        return finish(broken, "every bar holds")
     if given.bound:
         broken += show_bound(parts_of(partial(beside_bound, given.seed), count, given.workers, CHUNK), count)
     for case in given.cases if not given.bound else ():
@@ -224,15 +298,6 @@ def main() -> int:
         sys.stdout.flush()
     print(f"\n{time.perf_counter() - begun:.0f} s")
     return finish(broken, "every bar holds")
-
-
-def show_pairs(case: str, parts: list[Any]) -> list[str]:
-    n, differ, changed, found = (sum(column) for column in zip(*parts, strict=True))
-    upper = float(stats.beta.ppf(0.99, differ + 1, n - differ))
-    share = f"{differ / n:.3f}, upper 99 % {upper:.3f}"
-    print(f"{case}: {differ} of {n} pairs said to differ ({share}), {found} of {changed} changes found")
-    broken = [f"{case}: differ in {upper:.3f}"] * (upper > 0.07)
-    return broken + [f"{case}: found {found} of {changed}"] * (found < 0.98 * changed)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
-"""Are other people's drivers at home on the simulated meter? PyMeasure's HP34401A and QCoDeS's Agilent34401A.
+"""Are other people's drivers at home on the simulated meter and supplies? PyMeasure's, QCoDeS's and dcps's.
 
-    python -m venv /tmp/strangers && /tmp/strangers/bin/pip install pymeasure qcodes pyvisa-py pyserial
-    /tmp/strangers/bin/python -m benchmarks.strangers --bench-program .venv/bin/bench
+    python -m venv VENV && VENV/bin/pip install pymeasure qcodes dcps pyvisa-py pyserial
+    VENV/bin/python -m benchmarks.strangers --bench-program .venv/bin/bench
 
-Serves the shipped bench with its meters set to `lan` and lets each driver, as published, do a full exchange
-over TCP and over the pseudo-terminal: every property that it has, and an empty error queue after each. Prints
-a table and every disagreement; exit status 1 when there is one. What is not installed is skipped.
+Serves the shipped bench with its meters set to `lan`, then with each supply in turn. Each driver, as published,
+does a full exchange over TCP and over the pseudo-terminal: every property that it has, and no error reported after
+each. Prints a table and every disagreement; exit status 1 when there is one. What is not installed is skipped. Over
+its serial port an E3631A must be told to be remote first, which these drivers leave to their users.
 """
 
 from __future__ import annotations
@@ -22,24 +23,25 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 SPEED = 200
-ANGLE_COMMAND = "turn 45 deg"
+Accept = Callable[[Any], bool]
 
 
 class Exchange:
-    """Counts what was tried and keeps what went wrong."""
+    """Tries one thing after the other, and keeps what went wrong."""
 
     def __init__(self, errors: Callable[[], list[str]]) -> None:
         self.errors = errors
         self.tried = 0
         self.wrong: list[str] = []
 
-    def check(self, what: str, action: Callable[[], Any], accept: Callable[[Any], bool]) -> None:
-        """Do one thing; it must answer acceptably and leave no error in the queue."""
+    def check(self, what: str, action: Callable[[], Any], accept: Accept | Any = None) -> None:
+        """Do one thing; it must answer acceptably, or what is given, and leave no error in the queue."""
         self.tried += 1
         try:
             answer = action()
@@ -49,51 +51,55 @@ class Exchange:
             return
         if left:
             self.wrong.append(f"{what}: the error queue held {left}")
-        elif not accept(answer):
+        elif not (accept(answer) if callable(accept) else answer == accept):
             self.wrong.append(f"{what}: answered {answer!r}")
+
+    def put(self, holder: Any, name: str, value: Any, back: Any = None) -> None:
+        """Set a property and read it back."""
+
+        def action() -> Any:
+            setattr(holder, name, value)
+            return getattr(holder, name)
+
+        self.check(f"{name} = {value!r}", action, value if back is None else back)
+
+    def get(self, holder: Any, name: str, accept: Accept | Any = None) -> None:
+        """Read a property: a number, where nothing else is asked."""
+        self.check(name, lambda: getattr(holder, name), number if accept is None else accept)
 
 
 def number(value: Any) -> bool:
     return isinstance(value, float)
 
 
-def put_and_get(parameter: Callable[..., Any], value: Any) -> Callable[[], Any]:
-    def action() -> Any:
-        parameter(value)
-        return parameter()
-
-    return action
+def near(wanted: float) -> Accept:
+    return lambda value: number(value) and abs(value - wanted) < 0.05
 
 
-def same(wanted: Any) -> Callable[[Any], bool]:
-    return lambda value: value == wanted
+def scpi_errors(ask: Callable[[str], str]) -> list[str]:
+    found = []
+    while "No error" not in (answer := ask("SYST:ERR?")):
+        found.append(answer)
+    return found
 
 
-@contextmanager
-def served(program: str, written: str) -> Iterator[dict[str, Any]]:
-    """Serve the bench of a bench file's text, its head turned to 45°; yield the ready file's content."""
-    with tempfile.TemporaryDirectory() as folder:
-        bench_file, ready = Path(folder) / "bench.yaml", Path(folder) / "ready.json"
-        bench_file.write_text(written, encoding="utf-8")
-        files = ["--bench", str(bench_file), "--ready-file", str(ready)]
-        command = [program, "simulate", *files, "--speed", str(SPEED)]
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)  # noqa: S603 - our own program
-        try:
-            while not ready.exists():
-                if process.poll() is not None:
-                    sys.exit(f"{program} does not serve")
-                time.sleep(0.05)
-            content = json.loads(ready.read_text(encoding="utf-8"))
-            turn = [program, "simulate", "--control", content["control"], ANGLE_COMMAND]
-            subprocess.run(turn, check=True, stdout=subprocess.DEVNULL)  # noqa: S603 - our own program
-            yield content
-        finally:
-            process.terminate()
-            if process.wait() != 0:
-                print(f"the server ended with status {process.returncode}")
+def tti_errors(ask: Callable[[str], str]) -> list[str]:
+    """Return what *ESR? and EER? tell but for the power having been switched on."""
+    event, error = int(ask("*ESR?")) & ~128, int(ask("EER?"))
+    return [f"*ESR? {event}, EER? {error}"] if event or error else []
 
 
-# --- PyMeasure --------------------------------------------------------------------------------------
+def by_pymeasure(cls: str, resource: str, line_end: str) -> Any:
+    from pymeasure.instruments import aimtti, hp, keysight
+
+    warnings.simplefilter("ignore", FutureWarning)
+    made = next(getattr(room, cls) for room in (hp, keysight, aimtti) if hasattr(room, cls))
+    return made(
+        resource, visa_library="@py", read_termination=line_end, write_termination="\n", timeout=10_000
+    )
+
+
+# --- the meter --------------------------------------------------------------------------------------
 
 RANGES = {
     "DCV": (0.1, 1, 10, 100, 1000), "ACV": (0.1, 1, 10, 100, 750), "DCI": (0.01, 0.1, 1, 3), "ACI": (1, 3),
@@ -102,84 +108,47 @@ RANGES = {
 }  # fmt: skip
 
 
-def pymeasure(resource: str, line_end: str) -> Exchange:
+def of_functions() -> Iterator[tuple[str, str, Any, Any]]:
+    """Yield function, property, value and what is read back, of each that only some functions have."""
+    for function, ranges in RANGES.items():
+        yield from ((function, "range_", wanted, wanted) for wanted in ranges)
+        yield from ((function, "range_", "MIN", ranges[0]), (function, "autorange", True, True))
+        yield function, "autorange", False, False
+    for function, nplc in product(("DCV", "DCI", "R2W", "R4W"), (0.02, 0.2, 1, 10, 100)):
+        yield function, "nplc", nplc, nplc
+    for function, wanted, size in (("DCV", 1, 1e-4), ("ACV", 1, 1e-4), ("DCI", 1, 1e-4), ("R2W", 100, 0.01)):
+        yield from ((function, "range_", wanted, wanted), (function, "resolution", size, size))
+    for function, gate_s in product(("FREQ", "PERIOD"), (0.01, 0.1, 1)):
+        yield function, "gate_time", gate_s, gate_s
+    for band_hz in (3, 20, 200):
+        yield "PERIOD", "detector_bandwidth", band_hz, band_hz
+
+
+def pymeasure_34401a(resource: str, line_end: str) -> Exchange:
     """Every property and method of pymeasure.instruments.hp.HP34401A."""
-    from pymeasure.instruments.hp import HP34401A
-
-    warnings.simplefilter("ignore", FutureWarning)
-    meter = HP34401A(
-        resource, visa_library="@py", read_termination=line_end, write_termination="\n", timeout=10_000
-    )
+    meter = by_pymeasure("HP34401A", resource, line_end)
     exchange = Exchange(meter.check_errors)
-
-    def put(name: str, value: Any, back: Any = None) -> None:
-        def action() -> Any:
-            setattr(meter, name, value)
-            return getattr(meter, name)
-
-        exchange.check(f"{name} = {value!r}", action, same(value if back is None else back))
-
-    def get(name: str, accept: Callable[[Any], bool] = number) -> None:
-        exchange.check(name, lambda: getattr(meter, name), accept)
-
+    put, get = partial(exchange.put, meter), partial(exchange.get, meter)
     meter.write("*CLS")
     meter.write("*RST")
     get("id", lambda text: text.split(",")[1] == "34401A")
-    get("complete", lambda text: text == "1")
+    get("complete", "1")
     get("status", lambda byte: int(byte) == 0)
-    for function in HP34401A.FUNCTIONS:
+    for function in meter.FUNCTIONS:
         put("function_", function)
         get("reading")
-    pymeasure_ranges(meter, put)
+    for function, name, value, back in of_functions():
+        meter.function_ = function
+        put(name, value, back)
     meter.write("*RST")
     for name in ("autozero_enabled", "auto_input_impedance_enabled", "display_enabled", "beeper_enabled"):
         for flag in (False, True):
             put(name, flag)
     for name in ("remote_control_enabled", "remote_lock_enabled"):
         for flag in (True, False):
-            exchange.check(f"{name} = {flag}", partial(setattr, meter, name, flag), same(None))
-    exchange.check("trigger_single_autozero", meter.trigger_single_autozero, same(None))
+            exchange.check(f"{name} = {flag}", partial(setattr, meter, name, flag))
+    exchange.check("trigger_single_autozero", meter.trigger_single_autozero)
     get("terminals_used", lambda side: side in {"FRONT", "REAR"})
-    pymeasure_triggering(meter, exchange, put, get)
-    put("displayed_text", "Hello World")
-    exchange.check("beep", meter.beep, same(None))
-    get("scpi_version", lambda version: version > 1990)
-    get("self_test_result", same(0.0))
-    for name in ("voltage_ac", "current_dc", "current_ac", "resistance", "resistance_4w"):
-        get(name)
-    exchange.check("shutdown", meter.shutdown, same(None))
-    return exchange
-
-
-def pymeasure_ranges(meter: Any, put: Callable[..., None]) -> None:
-    """Ranges, integration, resolution, gate time and bandwidth of each function that has them."""
-    for function, ranges in RANGES.items():
-        meter.function_ = function
-        for wanted in ranges:
-            put("range_", wanted)
-        put("range_", "MIN", ranges[0])
-        put("autorange", True)
-        put("autorange", False)
-    for function in ("DCV", "DCI", "R2W", "R4W"):
-        meter.function_ = function
-        for nplc in (0.02, 0.2, 1, 10, 100):
-            put("nplc", nplc)
-    for function in ("DCV", "ACV", "DCI", "R2W"):
-        meter.function_ = function
-        meter.range_ = 1 if function != "R2W" else 100
-        put("resolution", 0.0001 if function != "R2W" else 0.01)
-    for function in ("FREQ", "PERIOD"):
-        meter.function_ = function
-        for gate_s in (0.01, 0.1, 1):
-            put("gate_time", gate_s)
-    for band_hz in (3, 20, 200):
-        put("detector_bandwidth", band_hz)
-
-
-def pymeasure_triggering(
-    meter: Any, exchange: Exchange, put: Callable[..., None], get: Callable[..., None]
-) -> None:
-    """Trigger settings, readings at once and from memory."""
     for source in ("BUS", "EXT", "IMM"):
         put("trigger_source", source)
     put("trigger_delay", 1.5)
@@ -189,90 +158,214 @@ def pymeasure_triggering(
     put("trigger_count", "INF", 9.9e37)
     put("trigger_count", 1)
     get("reading", lambda values: len(values) == 10)
-    exchange.check("init_trigger", meter.init_trigger, same(None))
+    exchange.check("init_trigger", meter.init_trigger)
     get("stored_reading", lambda values: len(values) == 10)
-    get("stored_readings_count", same(10.0))
+    get("stored_readings_count", 10.0)
+    put("displayed_text", "Hello World")
+    exchange.check("beep", meter.beep)
+    get("scpi_version", lambda version: version > 1990)
+    get("self_test_result", 0.0)
+    for name in ("voltage_ac", "current_dc", "current_ac", "resistance", "resistance_4w"):
+        get(name)
+    exchange.check("shutdown", meter.shutdown)
+    return exchange
 
 
-# --- QCoDeS -----------------------------------------------------------------------------------------
-
-
-def qcodes(resource: str, line_end: str) -> Exchange:
+def qcodes_34401a(resource: str, line_end: str) -> Exchange:
     """Every parameter and method of qcodes.instrument_drivers.agilent.Agilent34401A."""
     from qcodes.instrument_drivers.agilent import Agilent34401A
 
     meter = Agilent34401A(f"dmm_{abs(hash(resource))}", resource, visalib="@py", timeout=10)
     meter.visa_handle.read_termination = line_end
-
-    def errors() -> list[str]:
-        found = []
-        while "No error" not in (answer := meter.ask("SYST:ERR?")):
-            found.append(answer)
-        return found
-
-    exchange = Exchange(errors)
-    exchange.check("reset", meter.reset, same(None))
+    exchange = Exchange(partial(scpi_errors, meter.ask))
+    exchange.check("reset", meter.reset)
     exchange.check("IDN", meter.IDN.get, lambda idn: idn["model"] == "34401A")
-    for range_v in (0.1, 1.0, 100.0, 1000.0, 10.0):
-        exchange.check(f"range {range_v}", put_and_get(meter.range, range_v), same(range_v))
-    for nplc in (0.02, 0.2, 1, 10, 100, 1):
-        exchange.check(f"NPLC {nplc}", put_and_get(meter.NPLC, nplc), same(nplc))
-    for resolution_v in (1e-3, 1e-4, 3e-5, 1e-5, 3e-6):
-        exchange.check(
-            f"resolution {resolution_v}",
-            put_and_get(meter.resolution, resolution_v),
-            same(resolution_v),
-        )
-    for word in ("on", "off"):
-        exchange.check(f"range_auto {word}", put_and_get(meter.range_auto, word), same(word))
+    settings: dict[str, tuple[Any, ...]] = {
+        "range": (0.1, 1.0, 100.0, 1000.0, 10.0), "NPLC": (0.02, 0.2, 1, 10, 100, 1),
+        "resolution": (1e-3, 1e-4, 3e-5, 1e-5, 3e-6), "range_auto": ("on", "off"),
+    }  # fmt: skip
+    for name, values in settings.items():
+        for value in values:
+            exchange.check(f"{name} {value}", partial(_put_and_get, getattr(meter, name), value), value)
     exchange.check("terminals", meter.terminals.get, lambda side: side in {"FRON", "REAR"})
     exchange.check("volt", meter.volt.get, lambda volts: 0.1 < abs(volts) < 3.0)
-    exchange.check("init_measurement", meter.init_measurement, same(None))
+    exchange.check("init_measurement", meter.init_measurement)
     exchange.check("fetch", meter.fetch.get, lambda volts: 0.1 < abs(volts) < 3.0)
-    exchange.check(
-        "display_text",
-        put_and_get(meter.display_text, "QCoDeS"),
-        same('"QCoDeS"'),
-    )
-    exchange.check("display_clear", meter.display_clear, same(None))
+    exchange.check("display_text", partial(_put_and_get, meter.display_text, "QCoDeS"), '"QCoDeS"')
+    exchange.check("display_clear", meter.display_clear)
     exchange.check("snapshot", lambda: meter.snapshot(update=True), lambda told: "volt" in told["parameters"])
-    exchange.check("clear_errors", meter.clear_errors, same(None))
+    exchange.check("clear_errors", meter.clear_errors)
     meter.close()
     return exchange
 
 
-STRANGERS = {"pymeasure": pymeasure, "qcodes": qcodes}
+def _put_and_get(parameter: Callable[..., Any], value: Any) -> Any:
+    parameter(value)
+    return parameter()
+
+
+# --- supplies ---------------------------------------------------------------------------------------
+
+
+def pymeasure_e3631a(resource: str, line_end: str) -> Exchange:
+    """Every property of pymeasure.instruments.keysight.KeysightE3631A but the switches of single outputs.
+
+    It sends these with a channel list, which an E3631A does not know: it has one switch.
+    """
+    supply = by_pymeasure("KeysightE3631A", resource, line_end)
+    if resource.startswith("ASRL"):
+        supply.write("SYST:REM")
+    exchange = Exchange(partial(scpi_errors, supply.ask))
+    exchange.check("reset", supply.reset)
+    for tracking in (True, False):
+        exchange.put(supply, "tracking_enabled", tracking)
+    volts = {1: 5.0, 2: 15.0, 3: -15.0}
+    for channel, volt in volts.items():
+        exchange.put(supply.channels[channel], "voltage_setpoint", volt, near(volt))
+        exchange.put(supply.channels[channel], "current_limit", 0.25, near(0.25))
+    exchange.put(supply, "output_enabled", True)
+    for channel, volt in volts.items():
+        exchange.get(supply.channels[channel], "voltage", near(volt))
+        exchange.get(supply.channels[channel], "current")
+    exchange.put(supply, "output_enabled", False)
+    exchange.get(supply.ch_2, "voltage", near(0.0))
+    return exchange
+
+
+def _by_channel(exchange: Exchange, channels: dict[Any, float]) -> None:
+    """Set, switch on, measure and switch off each of these outputs."""
+    for channel, volt in channels.items():
+        exchange.put(channel, "voltage_setpoint", volt, near(volt))
+        exchange.put(channel, "current_limit", 0.25, near(0.25))
+        exchange.put(channel, "output_enabled", True)
+        exchange.get(channel, "voltage", near(volt))
+        exchange.get(channel, "current")
+        exchange.put(channel, "output_enabled", False)
+
+
+def pymeasure_e36312a(resource: str, line_end: str) -> Exchange:
+    """Every property of pymeasure.instruments.keysight.KeysightE36312A."""
+    supply = by_pymeasure("KeysightE36312A", resource, line_end)
+    exchange = Exchange(partial(scpi_errors, supply.ask))
+    exchange.check("id", lambda: supply.ask("*IDN?"), lambda text: "E36312A" in text)
+    _by_channel(exchange, {supply.channels[k]: volt for k, volt in ((1, 5.0), (2, 15.0), (3, 12.0))})
+    return exchange
+
+
+def pymeasure_pl303(resource: str, line_end: str) -> Exchange:
+    """Every property and method of pymeasure.instruments.aimtti.PL303QMDP."""
+    supply = by_pymeasure("PL303QMDP", resource, line_end)
+    exchange = Exchange(partial(tti_errors, supply.ask))
+    exchange.check("reset", lambda: supply.write("*RST"))
+    exchange.check("id", lambda: supply.ask("*IDN?"), lambda text: "PL303QMD-P" in text)
+    channels = {supply.ch_1: 5.0, supply.ch_2: 24.0}
+    for channel in channels:
+        for current_range in ("LOW", "HIGH"):
+            exchange.put(channel, "current_range", current_range)
+    _by_channel(exchange, channels)
+    for on in (True, False):
+        exchange.check(f"all {on}", partial(setattr, supply, "all_outputs_enabled", on), lambda _: True)
+        exchange.get(supply.ch_1, "output_enabled", on)
+    exchange.check("local", supply.local)
+    return exchange
+
+
+def dcps_pl303(resource: str, line_end: str) -> Exchange:
+    """Every method of dcps.AimTTiPLP.AimTTiPLP that an output has."""
+    from dcps.AimTTiPLP import AimTTiPLP
+
+    supply = AimTTiPLP(resource, wait=0.0)
+    supply.open()
+    exchange = Exchange(partial(tti_errors, supply._instQuery))
+    for channel, volt in ((1, 5.0), (2, 24.0)):
+        exchange.check("setVoltage", partial(supply.setVoltage, volt, channel))
+        exchange.check("queryVoltage", partial(supply.queryVoltage, channel), near(volt))
+        exchange.check("setCurrent", partial(supply.setCurrent, 0.25, channel))
+        exchange.check("queryCurrent", partial(supply.queryCurrent, channel), near(0.25))
+        exchange.check("outputOn", partial(supply.outputOn, channel))
+        exchange.check("isOutputOn", partial(supply.isOutputOn, channel), True)
+        exchange.check("measureVoltage", partial(supply.measureVoltage, channel), near(volt))
+        exchange.check("measureCurrent", partial(supply.measureCurrent, channel), number)
+        exchange.check("outputOff", partial(supply.outputOff, channel))
+        exchange.check("isOutputOn", partial(supply.isOutputOn, channel), False)
+    for action in ("outputOnAll", "outputOffAll", "setRemote", "setLocal"):
+        exchange.check(action, getattr(supply, action))
+    return exchange
+
+
+# --- the exchanges ----------------------------------------------------------------------------------
+
+E3631A = "driver: keysight-e3631a, resource: 'ASRL/dev/ttyUSB9::INSTR', interface: {}"
+E36312A = "driver: keysight-e36300, model: E36312A, resource: 'TCPIP0::192.0.2.70::5025::SOCKET'"
+PL303 = "driver: aim-tti, model: PL303QMD-P, resource: 'TCPIP0::192.0.2.71::9221::SOCKET'"
+TCP, PTY, BOTH = ("TCP",), ("pty",), ("TCP", "pty")
+
+EXCHANGES: tuple[tuple[str, str, str, str, tuple[str, ...], Callable[[str, str], Exchange]], ...] = (
+    ("pymeasure", "34401A", "voltmeter.x", "", BOTH, pymeasure_34401a),
+    ("qcodes", "34401A", "voltmeter.y", "", BOTH, qcodes_34401a),
+    ("pymeasure", "E3631A", "power_supply", E3631A.format("gpib"), TCP, pymeasure_e3631a),
+    ("pymeasure", "E3631A", "power_supply", E3631A.format("rs232"), PTY, pymeasure_e3631a),
+    ("pymeasure", "E36312A", "power_supply", E36312A, BOTH, pymeasure_e36312a),
+    ("pymeasure", "PL303QMD-P", "power_supply", PL303, BOTH, pymeasure_pl303),
+    ("dcps", "PL303QMD-P", "power_supply", PL303, BOTH, dcps_pl303),
+)
+"""Of each: package, instrument, its name on the bench, the supply's section, over which wires, the exchange."""
+
+
+@contextmanager
+def served(program: str, supply: str) -> Iterator[dict[str, Any]]:
+    """Serve the shipped bench, with a power supply, its head turned to 45°; yield the ready file's content."""
+    text = (ROOT / "config" / "paper-stand.yaml").read_text(encoding="utf-8")
+    if supply:
+        text = text.replace("\ninstruments:\n", f"\ninstruments:\n  power_supply: {{{supply}}}\n", 1)
+    else:
+        text = text.replace("interface: gpib", "interface: lan")
+    with tempfile.TemporaryDirectory() as folder:
+        bench_file, ready = Path(folder) / "bench.yaml", Path(folder) / "ready.json"
+        bench_file.write_text(text, encoding="utf-8")
+        files = ["--bench", str(bench_file), "--ready-file", str(ready)]
+        command = [program, "simulate", *files, "--speed", str(SPEED)]
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)  # noqa: S603 - our own program
+        try:
+            while not ready.exists():
+                if process.poll() is not None:
+                    sys.exit(f"{program} does not serve")
+                time.sleep(0.05)
+            content = json.loads(ready.read_text(encoding="utf-8"))
+            turn = [program, "simulate", "--control", content["control"], "turn 45 deg"]
+            subprocess.run(turn, check=True, stdout=subprocess.DEVNULL)  # noqa: S603 - our own program
+            yield content
+        finally:
+            process.terminate()
+            if process.wait() != 0:
+                print(f"the server ended with status {process.returncode}")
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     own = Path(sys.executable).with_name("bench")
     found = shutil.which("bench") or str(own if own.exists() else ROOT / ".venv" / "bin" / "bench")
     parser.add_argument("--bench-program", default=found, help="the bench program that serves")
-    program = str(Path(parser.parse_args().bench_program).resolve())
-    present = {name: run for name, run in STRANGERS.items() if importlib.util.find_spec(name)}
-    for name in [name for name in STRANGERS if name not in present]:
-        print(
-            f"skipped: {name} is not installed here; install it into an environment of its own (see --help)"
-        )
-    if not present:
-        return 0
+    program = str(Path(parser.parse_args().bench_program).absolute())
     wrong = []
-    shipped = (ROOT / "config" / "paper-stand.yaml").read_text(encoding="utf-8")
-    with served(program, shipped.replace("interface: gpib", "interface: lan")) as content:
-        print(f"{'client':12}{'wire':6}{'exchanges':>10}{'wrong':>7}{'time':>9}")
-        for name, run in present.items():
-            meter = content["instruments"][0 if name == "pymeasure" else 1]
-            host, port = meter["tcp"].split(":")
-            wires = {"TCP": (f"TCPIP0::{host}::{port}::SOCKET", "\n")}
-            if meter["pty"]:
-                wires["pty"] = (f"ASRL{meter['pty']}::INSTR", "\r\n")
-            for wire, (resource, line_end) in wires.items():
+    print(f"{'client':11}{'instrument':12}{'wire':6}{'exchanges':>10}{'wrong':>7}{'time':>9}")
+    for package, model, name, supply, wires, run in EXCHANGES:
+        if importlib.util.find_spec(package) is None:
+            print(f"{package:11}{model:12}skipped: not installed here (see --help)")
+            continue
+        ends = {"TCP": "\r\n" if model.startswith("PL") else "\n", "pty": "\r\n"}
+        with served(program, supply) as content:
+            instrument = next(one for one in content["instruments"] if one["name"] == name)
+            host, port = instrument["tcp"].split(":")
+            resources = {"TCP": f"TCPIP0::{host}::{port}::SOCKET", "pty": f"ASRL{instrument['pty']}::INSTR"}
+            for wire in (wire for wire in wires if wire == "TCP" or instrument["pty"]):
                 start = time.perf_counter()
-                exchange = run(resource, line_end)
-                taken_s = time.perf_counter() - start
-                print(f"{name:12}{wire:6}{exchange.tried:10}{len(exchange.wrong):7}{taken_s:7.1f} s")
-                wrong += [f"{name} over {wire}: {text}" for text in exchange.wrong]
+                exchange = run(resources[wire], ends[wire])
+                told = f"{exchange.tried:10}{len(exchange.wrong):7}{time.perf_counter() - start:7.1f} s"
+                print(f"{package:11}{model:12}{wire:6}{told}", flush=True)
+                wrong += [f"{package} on {model} over {wire}: {text}" for text in exchange.wrong]
     print("\n".join(wrong or ["every exchange was answered as the driver expects, and left no error"]))
     return 1 if wrong else 0
 

@@ -26,13 +26,11 @@ from pathlib import Path
 from typing import Any, Final
 from unittest import mock
 
-import yaml
-
 import bench.cli.measure
 import bench.run.assembly.served
 from bench.run.folder import Run
-from benchmarks.campaign import ROOT, amiss, arguments, by_kind, command, spread
-from benchmarks.fault_campaign import VALUE_V, exact
+from benchmarks.campaign import amiss, arguments, by_kind, command, spread, summed
+from benchmarks.fault_campaign import VALUE_V, exact_bench
 from sim.bench import SimulatedBench
 from sim.world.power import Disturbance, Power
 
@@ -73,28 +71,14 @@ class Fed:
     over_voltage_v: float | None
 
 
+E3631A: Final = {"driver": "keysight-e3631a", "resource": "GPIB0::5::INSTR"}
+E36311A: Final = {
+    "driver": "keysight-e36300", "model": "E36311A", "resource": "TCPIP0::192.0.2.30::5025::SOCKET",
+}  # fmt: skip
 WAYS: Final = (
-    Fed(
-        "E3631A on GPIB, head by hand",
-        "bench-gpib",
-        {"driver": "keysight-e3631a", "resource": "GPIB0::5::INSTR"},
-        ("P25V", "N25V"),
-        None,
-    ),
-    Fed(
-        "E36311A on LAN, head by hand",
-        "bench-lan",
-        {"driver": "keysight-e36300", "model": "E36311A", "resource": "TCPIP0::192.0.2.30::5025::SOCKET"},
-        ("2", "3"),
-        16.5,
-    ),
-    Fed(
-        "E36311A on LAN, head with a motor",
-        "bench-motorised",
-        {"driver": "keysight-e36300", "model": "E36311A", "resource": "TCPIP0::192.0.2.30::5025::SOCKET"},
-        ("2", "3"),
-        16.5,
-    ),
+    Fed("E3631A on GPIB, head by hand", "bench-gpib", E3631A, ("P25V", "N25V"), None),
+    Fed("E36311A on LAN, head by hand", "bench-lan", E36311A, ("2", "3"), 16.5),
+    Fed("E36311A on LAN, head with a motor", "bench-motorised", E36311A, ("2", "3"), 16.5),
 )
 
 
@@ -152,13 +136,14 @@ def _section(fed: Fed) -> dict[str, Any]:
             stated["over_voltage"] = f"{sign * fed.over_voltage_v} V"
         return stated
 
-    section: dict[str, Any] = {
-        "rails": [rail("p15", fed.outputs[0], 1), rail("n15", fed.outputs[1], -1)],
-        "least_off": "10 s",
-        "warm_up": "10 min",
-        "when_unsafe": "off",
-    }
+    rails = [rail("p15", fed.outputs[0], 1), rail("n15", fed.outputs[1], -1)]
+    section = {"rails": rails, "least_off": "10 s", "warm_up": "10 min", "when_unsafe": "off"}
     return section if fed.over_voltage_v is None else {**section, "pause": "1 s"}
+
+
+def _feed(fed: Fed, data: dict[str, Any]) -> None:
+    data["instruments"]["power_supply"] = {**fed.supply, "timeout": TIMEOUT}
+    data["unit_under_test"]["supply"] = _section(fed)
 
 
 def stands(folder: Path, ways: Sequence[Fed] = WAYS) -> list[FedStand]:
@@ -168,12 +153,8 @@ def stands(folder: Path, ways: Sequence[Fed] = WAYS) -> list[FedStand]:
     """
     made = []
     for number, fed in enumerate(ways):
-        shipped = (ROOT / "config" / f"{fed.bench}.yaml").read_text(encoding="utf-8")
-        data = exact(yaml.safe_load(shipped), TIMEOUT)
-        data["instruments"]["power_supply"] = {**fed.supply, "timeout": TIMEOUT}
-        data["unit_under_test"]["supply"] = _section(fed)
-        bench_file, procedure = folder / f"fed-{number}.yaml", folder / "fed-procedure.yaml"
-        bench_file.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+        bench_file, _ = exact_bench(folder, fed.bench, TIMEOUT, f"fed-{number}", partial(_feed, fed))
+        procedure = folder / "fed-procedure.yaml"
         procedure.write_text(PROCEDURE, encoding="utf-8")
         bare = FedStand(fed, bench_file, procedure)
         with watched(None) as watch:
@@ -201,29 +182,18 @@ def _arguments(stand: FedStand, runs: Path, name: str) -> list[str]:
 class Watch:
     """Stands for the class `SimulatedBench` in the composition root: disturbs the world, and keeps it."""
 
+    power: Power
+    """The supply and the rails of the world."""
+
     def __init__(self, disturbance: Disturbance | None) -> None:
         self._disturbance = disturbance
-        self._made: SimulatedBench | None = None
 
     def __call__(self, *arguments: Any, **named: Any) -> SimulatedBench:
-        self._made = SimulatedBench(*arguments, **named)
+        made = SimulatedBench(*arguments, **named)
+        self.power, self.clock = made.world.power, made.world.clock
         if self._disturbance is not None:
             self.power.disturb(self._disturbance)
-        return self._made
-
-    @property
-    def power(self) -> Power:
-        """The supply and the rails of the world."""
-        if self._made is None:
-            raise RuntimeError("no simulated bench was made")
-        return self._made.world.power
-
-    @property
-    def now_s(self) -> float:
-        """The time of the world, s."""
-        if self._made is None:
-            raise RuntimeError("no simulated bench was made")
-        return self._made.world.clock.now_s()
+        return made
 
 
 @contextlib.contextmanager
@@ -232,14 +202,10 @@ def watched(disturbance: Disturbance | None) -> Iterator[Watch]:
     watch = Watch(disturbance)
     with (
         mock.patch.object(bench.run.assembly.served, "SimulatedBench", watch),
-        mock.patch.object(bench.cli.measure, "_results", _no_page),
+        # the evaluation of a finished run is no part of a trial, and takes most of its time
+        mock.patch.object(bench.cli.measure, "_results", return_value=0),
     ):
         yield watch
-
-
-def _no_page(*_: object) -> int:
-    """Stand for the evaluation of a finished run, which is no part of a trial and takes most of its time."""
-    return 0
 
 
 # --- a trial ----------------------------------------------------------------------------------------
@@ -279,7 +245,7 @@ def _judge_world(watch: Watch, outcome: FedOutcome) -> None:
     power, fed = watch.power, outcome.trial.stand.fed
     outcome.outside_limits += len(power.violations)
     outcome.violations += [f"outside of the block's limits: {violation}" for violation in power.violations]
-    on = [output for output in fed.outputs if power.stage(output, watch.now_s).on]
+    on = [output for output in fed.outputs if power.stage(output, watch.clock.now_s()).on]
     if on:
         outcome.violations.append(f"left on: {', '.join(on)}")
 
@@ -373,46 +339,28 @@ def _lasting(generator: random.Random) -> float:
     return math.exp(generator.uniform(math.log(SHORTEST_S), math.log(3600.0)))
 
 
-def _drop(generator: random.Random, stand: FedStand, at_s: float, output: str) -> Disturbance:
-    return Disturbance("sag", at_s, output, generator.uniform(0.02, 0.95), _lasting(generator))
+KINDS: Final = ("drop", "trip", "limit", "drift", "open", "off", "cut")
 
 
-def _trip(generator: random.Random, stand: FedStand, at_s: float, output: str) -> Disturbance:
-    """Its voltage runs away until the protection strikes; without one, a contact is lost instead."""
-    if stand.fed.over_voltage_v is None:
-        return Disturbance("open", at_s, output, lasts_s=_lasting(generator))
-    sign = 1.0 if output == stand.fed.outputs[0] else -1.0
-    return Disturbance("drift", at_s, output, sign * generator.uniform(0.05, 2.0) * 3600.0)
-
-
-def _limit(generator: random.Random, stand: FedStand, at_s: float, output: str) -> Disturbance:
-    return Disturbance("load", at_s, output, generator.uniform(2.2, 30.0), _lasting(generator))
-
-
-def _drift(generator: random.Random, stand: FedStand, at_s: float, output: str) -> Disturbance:
-    """As slow as supplies drift; what has a protection may be faster."""
-    most_v_h = 6.0 if stand.fed.over_voltage_v is None else 60.0
-    size = generator.uniform(0.5, most_v_h) * generator.choice((-1.0, 1.0))
-    return Disturbance("drift", at_s, output, size)
-
-
-def _open(generator: random.Random, stand: FedStand, at_s: float, output: str) -> Disturbance:
+def _drawn(kind: str, generator: random.Random, stand: FedStand, at_s: float, output: str) -> Disturbance:
+    """Draw a disturbance. A trip: the voltage runs away until the protection strikes, or a contact is lost."""
+    protected = stand.fed.over_voltage_v is not None
+    match kind:
+        case "drop":
+            return Disturbance("sag", at_s, output, generator.uniform(0.02, 0.95), _lasting(generator))
+        case "trip" if protected:
+            sign = 1.0 if output == stand.fed.outputs[0] else -1.0
+            return Disturbance("drift", at_s, output, sign * generator.uniform(0.05, 2.0) * 3600.0)
+        case "limit":
+            return Disturbance("load", at_s, output, generator.uniform(2.2, 30.0), _lasting(generator))
+        case "drift":  # as slow as supplies drift; what has a protection may be faster
+            size = generator.uniform(0.5, 60.0 if protected else 6.0) * generator.choice((-1.0, 1.0))
+            return Disturbance("drift", at_s, output, size)
+        case "off":
+            return Disturbance("off", at_s, output)
+        case "cut":
+            return Disturbance("cut", at_s, lasts_s=math.exp(generator.uniform(0.0, math.log(7200.0))))
     return Disturbance("open", at_s, output, lasts_s=_lasting(generator))
-
-
-def _off(generator: random.Random, stand: FedStand, at_s: float, output: str) -> Disturbance:
-    return Disturbance("off", at_s, output)
-
-
-def _cut(generator: random.Random, stand: FedStand, at_s: float, output: str) -> Disturbance:
-    lasts_s = math.exp(generator.uniform(0.0, math.log(7200.0)))
-    return Disturbance("cut", at_s, lasts_s=lasts_s)
-
-
-Draw = Callable[[random.Random, FedStand, float, str], Disturbance]
-KINDS: Final[Mapping[str, Draw]] = {
-    "drop": _drop, "trip": _trip, "limit": _limit, "drift": _drift, "open": _open, "off": _off, "cut": _cut,
-}  # fmt: skip
 
 
 def draw(count: int, seed: int, benches: Sequence[FedStand]) -> list[FedTrial]:
@@ -420,11 +368,11 @@ def draw(count: int, seed: int, benches: Sequence[FedStand]) -> list[FedTrial]:
     generator = random.Random(seed)  # noqa: S311 - nothing secret
     trials = []
     for number in range(count):
-        kind = list(KINDS)[number % len(KINDS)]
+        kind = KINDS[number % len(KINDS)]
         able = [b for b in benches if kind != "trip" or b.fed.over_voltage_v is not None]
         stand = generator.choice(able or list(benches))
         at_s = generator.uniform(0.0, stand.duration_s)
-        disturbance = KINDS[kind](generator, stand, at_s, generator.choice(stand.fed.outputs))
+        disturbance = _drawn(kind, generator, stand, at_s, generator.choice(stand.fed.outputs))
         trials.append(FedTrial(str(number), stand, kind, disturbance))
     return trials
 
@@ -437,13 +385,13 @@ def table(outcomes: Sequence[FedOutcome]) -> str:
 
     counts: dict[str, Callable[[Sequence[FedOutcome]], object]] = {
         "runs": len,
-        "completed": lambda rows: sum(row.completed for row in rows),
-        "stopped": lambda rows: sum(not row.completed for row in rows),
-        "resumed": lambda rows: sum(row.resumed for row in rows),
-        "wrong": lambda rows: sum(row.wrong_values for row in rows),
-        "outside": lambda rows: sum(row.outside_limits for row in rows),
+        "completed": summed("completed"),
+        "stopped": lambda rows: len(rows) - summed("completed")(rows),
+        "resumed": summed("resumed"),
+        "wrong": summed("wrong_values"),
+        "outside": summed("outside_limits"),
         "other": lambda rows: sum(map(other, rows)),
-        "unseen": lambda rows: sum(row.unseen for row in rows),
+        "unseen": summed("unseen"),
     }
     return by_kind(outcomes, KINDS, lambda row: row.trial.kind, counts)
 

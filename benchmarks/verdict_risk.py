@@ -39,7 +39,7 @@ from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings
 from bench.results.verification import verdict_part
 from benchmarks.blind_trial.stand import ARCSEC, specific_force
-from benchmarks.campaign import arguments
+from benchmarks.campaign import amiss, arguments
 
 Floats = NDArray[np.float64]
 
@@ -199,7 +199,7 @@ def main(argv: list[str] | None = None) -> int:
     if given.blocks:
         broken = judge_blocks(given.blocks, given.seed, given.noise, alike=not given.apart)
         print(f"seed {given.seed}, noise {given.noise:g} V: {time.perf_counter() - begun:.0f} s")
-        return told(broken)
+        return amiss(broken, "BROKEN:")
     found: tuple[list[Decided], list[Decided], list[Decided]] = ([], [], [])
     left = given.joint
     for number in range(given.runs):
@@ -212,14 +212,7 @@ def main(argv: list[str] | None = None) -> int:
     print(
         f"{given.runs} runs, seed {given.seed}, noise {given.noise:g} V: {time.perf_counter() - begun:.0f} s"
     )
-    return told(broken)
-
-
-def told(broken: list[str]) -> int:
-    """Print what is broken; return the exit status."""
-    for line in broken:
-        print(f"BROKEN: {line}")
-    return 1 if broken else 0
+    return amiss(broken, "BROKEN:")
 
 
 if __name__ == "__main__":

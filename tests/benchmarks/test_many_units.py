@@ -30,7 +30,7 @@ def level(request):
 
 @pytest.mark.slow
 def test_the_spread_is_the_stated_uncertainty(level):
-    """Promised: within 4 %; what 2,000 runs can tell comes on top. More in benchmarks/honest_uncertainty.py."""
+    """Promised: within 4 %; what 2,000 runs can tell comes on top."""
     _, batch, _ = level
     spread = np.std(batch.coefficients - TRUTH, axis=0)
     stated = np.sqrt(np.mean(batch.u**2, axis=0))

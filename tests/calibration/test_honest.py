@@ -1,8 +1,8 @@
 """Are the stated uncertainties true? 60 simulated runs at each of two noise levels.
 
 Simulation by support/paper_bench.py: the paper's stand with its limits as three sigma, noise sizes unknown to
-the fit; run k has the seed [2024, k] at 0.1 mV and [2025, k] at 20 uV. The same with 2000 runs is
-`benchmarks/honest_uncertainty.py`.
+the fit; run k has the seed [2024, k] at 0.1 mV and [2025, k] at 20 uV. Thousands of runs of such a stand are
+`benchmarks/signed_uncertainty.py --cases stand`.
 """
 
 from __future__ import annotations

@@ -16,8 +16,7 @@ from bench.run.folder import Run
 from bench.run.listening import Asker
 from bench.run.person import LeftAnswer, RunControl, WishAuthor, leave_answer, leave_wish
 from bench.services.execution import accept_changes
-from benchmarks.answering_campaign import PROCEDURE, Hands, amiss, answer_to, one
-from benchmarks.kill_campaign import differences
+from benchmarks.answering_campaign import PROCEDURE, Hands, amiss, answer_to, differences, one
 from drivers.interfaces import BenchError
 from tests.support.commands import printed
 from tests.support.schemas import keeps_to

@@ -13,7 +13,7 @@ from bench.results.fleet import capability_result
 from bench.stats import unit_histories
 from bench.stats.crossed_effects import EXCESS, Crossing, fit
 from bench.stats.unit_histories import Within, histories, spread_of
-from benchmarks.capability_honesty import laboratory
+from benchmarks.fleet_honesty import laboratory
 
 DAY = np.datetime64("2026-01-01")
 

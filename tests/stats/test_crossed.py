@@ -8,7 +8,7 @@ import pytest
 from bench.history.bench_or_block import allotment
 from bench.stats import holm
 from bench.stats.crossed_effects import BENCH, EXCESS, UNIT, Crossing, fit, most, solve
-from benchmarks.crossed_effects import drawn
+from benchmarks.fleet_honesty import drawn
 
 
 def crossing_of(seed: int, n: int, units: int, benches: int, kinds: int = 1):

@@ -1,0 +1,599 @@
+"""What the program costs, part by part: time and memory, beside what is promised. Each part is a word:
+
+    python -m benchmarks.speed program            # start, help and a dry run
+    python -m benchmarks.speed plan               # expand, hash, check and list 100,000 steps
+    python -m benchmarks.speed record             # check, resume and list records of 100,000 events
+    python -m benchmarks.speed questions          # a reading, with its questions on record and without
+    python -m benchmarks.speed fits --times 60    # the estimators, the whole result, the batch
+    python -m benchmarks.speed diagnosis --each 17
+    python -m benchmarks.speed runs --runs 1 5 20 # one diagnosis of many runs
+    python -m benchmarks.speed catalogue --folder LABORATORY --hold-back 100 [--catalogue FILE|URL]
+
+`plan`, `record`, `runs` and `catalogue` work in processes of their own, whose start is part of their cost.
+`diagnosis` takes cases of the blind trial: nothing hidden, one effect, one that is in no catalogue; each first
+without a simulated threshold, then with it in the cache. In `runs` each run hides the same effect of rho 2.3, which
+no run shows alone. `catalogue` sets the last folders of `benchmarks.many_folders` aside for a second sync. Exit
+status 1 where a promise is broken.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import io
+import json
+import math
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from functools import partial
+from itertools import starmap
+from pathlib import Path
+from typing import Any, Final
+from unittest.mock import patch
+
+import numpy as np
+
+from bench.base.arrays import Floats
+from bench.config.bench_file.file import load_bench
+from bench.config.procedure.steps import Mount, Read, Turn
+from bench.config.shipped import find_bench
+from bench.model import ForwardModel
+from benchmarks.campaign import PROGRAM, Cost, arguments, command, cost_of, medians
+
+# --- program ----------------------------------------------------------------------------------------
+
+REPEATS: Final = 9
+
+
+def program(given: argparse.Namespace) -> bool:
+    """Time commands beside the bare interpreter, which the machine slows down alike."""
+    python = (sys.executable, "-c")
+    commands = {
+        "python -c pass": (*python, "pass"), "import bench": (*python, "import bench"),
+        "bench --help": (*PROGRAM, "--help"), "bench run paper --dry-run": (*PROGRAM, "run", "paper", "--dry-run"),
+    }  # fmt: skip
+    print(f"{'command':30} {'CPU / s':>10} {'wall / s':>10}   (median of {REPEATS})")
+    for name, words in commands.items():
+        spent = [spent_on(words) for _ in range(REPEATS)]
+        cpu_s, wall_s = (statistics.median(column) for column in zip(*spent, strict=True))
+        print(f"{name:30} {cpu_s:10.3f} {wall_s:10.3f}")
+    return True
+
+
+def spent_on(words: tuple[str, ...]) -> tuple[float, float]:
+    """Return CPU and wall time of a command, s."""
+    with tempfile.TemporaryDirectory() as folder:
+        before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+        subprocess.run(words, cwd=folder, check=True, capture_output=True)  # noqa: S603 - fixed commands
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        return cpu_s, time.perf_counter() - begun
+
+
+# --- plan -------------------------------------------------------------------------------------------
+
+STEPS: Final = 100_000
+LONG_PLAN: Final = """\
+procedure: long
+on_failure: {repeat: 2, then: continue}
+steps:
+  - installation:
+      label: 1
+      steps:
+        - temperatures:
+            at: [23 degC, 50 degC, -20 degC]
+            settle: {precision: 0.1 K, window: 30 min, timeout: 6 h}
+            steps:
+              - repeat:
+                  times: %d
+                  steps:
+                    - input: {source: short}
+                    - turn: {angles: {from: 0 deg, step: 45 deg, count: 9}}
+"""
+WAIT: Final = "- wait: {for: 1 s}\n"
+PLANS: Final[dict[str, tuple[dict[str, str], float, float]]] = {
+    "a few repeats": ({"long": LONG_PLAN % (STEPS // 3 // 31)}, 2.0, 200.0),
+    "a line for each step": ({"long": "procedure: long\nsteps:\n" + WAIT * STEPS}, 4.0, 300.0),
+    "seventeen files that include the next one twice": (
+        {str(k): f"steps: [{{include: {k + 1}.yaml}}, {{include: {k + 1}.yaml}}]\n" for k in range(16)}
+        | {"16": f"steps:\n{WAIT}", "long": "procedure: long\nsteps: [{include: 0.yaml}, {include: 1.yaml}]\n"},
+        2.5, 200.0,
+    ),
+}  # fmt: skip
+"""Files, CPU time (s) and memory (MB) of a plan: where each step is said, every word is an event of the parser."""
+
+
+def plan(given: argparse.Namespace) -> bool:
+    """Print what a plan costs, made in several ways."""
+    print(f"{'':10} {'CPU / s':>8} {'peak / MB':>10}")
+    kept = [cost_of(planned, name).result for name in PLANS]
+    return all(kept)
+
+
+def planned(name: str) -> bool:
+    """Expand, hash, check and list a plan; print what was spent after each; return whether it is within limits."""
+    from bench.config.procedure.check import check, disk_needed_bytes, operator_actions
+    from bench.config.procedure.load import load_procedure
+    from bench.results.check import listing
+
+    files, limit_s, limit_mb = PLANS[name]
+    print(f"{name}; the limits are {limit_s:g} s and {limit_mb:g} MB")
+    bench = load_bench(find_bench("paper-stand"))
+    with tempfile.TemporaryDirectory() as folder:
+        for file, text in files.items():
+            (Path(folder) / f"{file}.yaml").write_text(text, encoding="utf-8")
+        begun = time.process_time()
+        made = load_procedure(Path(folder) / "long.yaml").expand()
+    lap("expanded", begun, f"{len(made.steps)} steps")
+    lap("hashed", begun, made.hash[:12])
+    check(made, bench)
+    disk_needed_bytes(made)
+    operator_actions(made, bench)
+    made.duration_by_kind_s()
+    spent_s, peak_mb = lap("checked", begun, "")
+    lap("listed", begun, f"{sum(1 for _ in listing(made))} lines")
+    return spent_s <= limit_s and peak_mb <= limit_mb
+
+
+def lap(what: str, begun: float, note: str) -> tuple[float, float]:
+    """Print and return CPU time since `begun`, s, and the peak of memory, MB."""
+    spent_s = time.process_time() - begun
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"{what:10} {spent_s:8.2f} {peak_mb:10.0f}   {note}", flush=True)
+    return spent_s, peak_mb
+
+
+# --- record -----------------------------------------------------------------------------------------
+
+LIMIT_S, LIMIT_MB, LIMIT_RATIO, LIMIT_LIST_S = 5.0, 300.0, 3.0, 2.0
+SAMPLES: Final = 10
+LONG_RUN: Final = """\
+procedure: long
+reading: {samples: 10, nplc: 10}
+steps:
+  - installation:
+      label: 1
+      steps:
+        - repeat: {times: %d, steps: [turn: {angles: {from: 0 deg, step: 45 deg, count: 9}}]}
+"""
+
+
+def record(given: argparse.Namespace) -> bool:
+    """Print what it costs to check a long record, to go on with it and to list a thousand of them."""
+    with tempfile.TemporaryDirectory(dir=Path()) as name, patch.dict(os.environ):
+        os.environ["XDG_CACHE_HOME"] = str(Path(name) / "cache")
+        folder = Path(name).absolute() / "runs" / "long"
+        # in a process of its own as well: a child begins with the peak of its parent's memory
+        cost_of(make_record, folder.parent, given.events)
+        bare = cost_of(parsed, folder)
+        bare_s = float(bare.result)
+        show_cost("bare parsing and hashing", bare._replace(cpu_s=bare_s), "")
+        show_cost("the program's start", cost_of(int), "")
+        check = cost_of(command, "show", "long", "--verify", "--runs", folder.parent)
+        ratio = check.cpu_s / bare_s
+        show_cost("show --verify", check, f"{ratio:.2f} x the bare; the limit is {LIMIT_RATIO:g}")
+        going_on = cost_of(resumed, folder)
+        show_cost("resume to its first step", going_on, f"the limit is {LIMIT_S:g} s, {LIMIT_MB:g} MB")
+        listed = cost_of(command, "runs", "--runs", copies(folder, given.many))
+        show_cost("runs, once seen", listed, f"{given.many} runs; the limit is {LIMIT_LIST_S:g} s")
+    kept = going_on.cpu_s <= LIMIT_S and going_on.peak_mb <= LIMIT_MB
+    return kept and ratio <= LIMIT_RATIO and listed.cpu_s <= LIMIT_LIST_S
+
+
+def show_cost(what: str, found: Cost, note: str) -> None:
+    print(f"{what:26} {found.cpu_s:7.2f} s CPU {found.peak_mb:6.0f} MB   {note}", flush=True)
+
+
+def make_record(runs: Path, events: int) -> None:
+    """Write the run `long`, interrupted after so many events, of which some steps are left."""
+    from bench.run.events import Mounted, Result, Turned, result_to_json
+    from bench.run.folder import Run
+    from bench.services.execution import new_run
+    from bench.services.requests.measuring import RunRequest
+
+    with tempfile.TemporaryDirectory() as name:
+        file = Path(name) / "long.yaml"
+        file.write_text(LONG_RUN % (events // 2 // 18 + 10), encoding="utf-8")
+        new = new_run(RunRequest(str(file), "paper-stand", runs=runs, dry_run=True, seed=1, name="long"))
+    rng = np.random.default_rng(1)
+    signals = signals_of_pass()
+    with patch("os.fsync"):  # what a disk takes is none of these figures
+        written = new.record()
+        written.append("run_started", 0.0, step=0, instruments={})
+        angle_deg, bench_s = 0.0, 0.0
+        for index, step in enumerate(Run(new.folder).plan.steps[: (events - 2) // 2]):
+            begun = {"step": index, "key": step.key, "attempt": 1}
+            bench_s = 10.0 * index
+            written.append("step_started", bench_s, **begun)
+            result: Result | None = None
+            if isinstance(step, Mount):
+                result = Mounted(None)
+            elif isinstance(step, Turn):
+                angle_deg = math.degrees(step.target_rad)
+                result = Turned(angle_deg, angle_deg)
+            elif isinstance(step, Read):
+                samples = signals[round(angle_deg)] + 1e-4 * rng.standard_normal((SAMPLES, 3))
+                result = reading_of(step, angle_deg, bench_s, samples)
+            written.append("step_done", bench_s + 5.0, **begun, **result_to_json(result))
+        written.append("run_interrupted", bench_s + 6.0)
+        written.close()
+
+
+def signals_of_pass() -> dict[int, Floats]:
+    """The signals of the stated block at the angles of a pass, V, by angle in degrees."""
+    from bench.readings.table import make_readings
+
+    bench = load_bench(find_bench("paper-stand"))
+    degrees = np.arange(9) * 45.0
+    pass_ = (["1"] * 9, [1] * 9, list(range(1, 10)), np.radians(degrees), np.zeros((9, 3)))
+    rows = make_readings(*pass_, source="angles").conditions()
+    at = ForwardModel(bench.installation_models()).readings(bench.simulated_block(), rows, np.zeros((1, 5)))
+    return {round(angle): signal for angle, signal in zip(degrees, at, strict=True)}
+
+
+def reading_of(step: Read, angle_deg: float, time_s: float, samples: Floats) -> Any:
+    """A reading of samples (n, 3), V, with all that a bench records of one."""
+    from bench.readings.reading import Reading
+    from bench.run.samples import describe
+    from drivers.interfaces import CHANNELS
+
+    columns = dict(zip(CHANNELS, samples.T.tolist(), strict=True))
+    found = [describe(columns)[channel] for channel in CHANNELS]
+    told: Any = {
+        name: tuple(getattr(of, name) for of in found) for name in ("mean", "sd", "drift", "drift_p")
+    }
+    return Reading(
+        installation="1", series=1, pass_number=step.pass_number, point=step.point, target_deg=angle_deg,
+        angle_deg=angle_deg, direction=1, time_s=time_s, temperature_c=20.0, samples_taken=SAMPLES,
+        samples=columns, scan_order="xyz", **told,
+    )  # fmt: skip
+
+
+def parsed(folder: Path) -> float:
+    """Parse and hash every line, and nothing else; return the CPU time of that, s."""
+    begun = time.process_time()
+    with (folder / "events.jsonl").open("rb") as file:
+        for line in file:
+            json.loads(line)
+            hashlib.sha256(line).hexdigest()
+    return time.process_time() - begun
+
+
+def resumed(folder: Path) -> None:
+    """`bench resume RUN`, up to its first step."""
+    from bench.run.workbench import Workbench
+
+    def begun(*given: object) -> None:
+        raise SystemExit
+
+    with patch.object(Workbench, "execute", begun), patch.object(Workbench, "still_mounted", begun):
+        command("resume", folder.name, "--runs", folder.parent)
+
+
+def copies(folder: Path, number: int) -> Path:
+    """Make many runs of the files of one, of which the first alone is read; return their folder.
+
+    The others are taken to have been seen, as they would be after minutes of reading the same again.
+    """
+    from bench.run.folder import SETTLED_S, Digest, Digests, Run
+
+    many = folder.parent.with_name("many")
+    for index in range(number):
+        copy = many / str(index)
+        copy.mkdir(parents=True)
+        for file in folder.iterdir():
+            os.link(file, copy / file.name)
+    time.sleep(SETTLED_S + 1.0)
+    read = Digest.of(Run(many / "0"))
+    with patch.object(Digest, "of", lambda run: read):
+        digests = Digests(many)
+        for index in range(number):
+            digests.of(Run(many / str(index)))
+        digests.save()
+    return many
+
+
+# --- questions --------------------------------------------------------------------------------------
+
+READINGS, ROUNDS = 500, 3
+WAYS: Final = ("nothing asked", "asked, before", "asked, now")
+"""A head that turns by itself; one that is asked for at each setting, as it was before questions stood in the
+record (none is recorded, each event is waited for until it is on the disk); the same with all on record."""
+
+
+def questions(given: argparse.Namespace) -> bool:
+    """Print what the runner costs a reading, in memory but for the record, and what its questions cost."""
+    found: dict[str, list[tuple[float, float]]] = {way: [] for way in WAYS}
+    with tempfile.TemporaryDirectory(dir=Path()) as folder:
+        print(f"fsync of 600 bytes: {fsync_ms(Path(folder)):.3f} ms")
+        for number in range(ROUNDS):
+            for k, way in enumerate(WAYS):
+                found[way].append(asked_run(Path(folder) / f"{number}-{k}", way))
+    for column, name in enumerate(("wall", "CPU")):
+        told = [f"{statistics.median(one[column] for one in found[way]):.3f} ms {way}" for way in WAYS]
+        pairs = zip(found[WAYS[1]], found[WAYS[2]], strict=True)
+        ratio = statistics.median(after[column] / before[column] for before, after in pairs)
+        print(f"{name:4} per reading: {', '.join(told)}; now to before {ratio:.2f}")
+    return True
+
+
+def asked_run(folder: Path, way: str) -> tuple[float, float]:
+    """Return wall and CPU time of a run per reading, ms; somebody at the terminal answers at once."""
+    from rich.console import Console
+
+    from bench.config.procedure.plan import Plan
+    from bench.run import record as record_module
+    from bench.run.instruments import Instruments
+    from bench.run.listening import Asker
+    from bench.run.person import WishAuthor
+    from bench.run.record import Record
+    from bench.run.terminal import TerminalPerson
+    from drivers.clock import utc_now
+    from drivers.instruments.manual import ManualHead
+    from drivers.person import Answer, Prompt
+    from sim.world.clock import VirtualClock
+    from tests.support.runner_bench import Bench, Head, Meter, runner_of
+
+    class AtOnce(TerminalPerson):
+        """Answers before the question is shown: what is measured is the record."""
+
+        def ask(self, prompt: Prompt) -> Answer:
+            return Answer(prompt.id, "" if prompt.default else "yes")
+
+    class TenSamples(Meter):
+        def fetch(self) -> dict[Any, tuple[float, ...]]:
+            return {self.channel: tuple(1.0 + 1e-6 * i for i in range(10))}
+
+    steps: list[Mount | Turn | Read] = [Mount("m", "1", 1)]
+    for n in range(READINGS):
+        steps.append(Turn(f"t{n}", "1", 1, 1, n + 1, 0.01 * n, 1))
+        steps.append(Read(f"r{n}", "1", 1, 1, n + 1, 0.01 * n, 1, 10, 10.0))
+    written = Record.create(folder, {}, {}, utc_now)
+    who = WishAuthor("cost", "supervisor", "terminal")
+    person = AtOnce(io.StringIO(), Console(file=io.StringIO()), who=who)
+    asker = Asker(folder, written, lambda kind, data: None, terminal=person) if way == WAYS[2] else None
+    memory = Bench()
+    head = Head(memory) if way == WAYS[0] else ManualHead("head", asker or person, tolerance_rad=1e-4)
+    having = Instruments([TenSamples(memory, channel) for channel in ("x", "y", "z")], head)
+    runner = runner_of(
+        Plan("cost", tuple(steps), ""), having, asker or person, VirtualClock(), written, asker=asker
+    )
+    later = frozenset() if way == WAYS[1] else record_module.WITH_THE_NEXT
+    with patch.object(record_module, "WITH_THE_NEXT", later):
+        begun, begun_cpu = time.perf_counter(), time.process_time()
+        runner.run()
+        spent = time.perf_counter() - begun, time.process_time() - begun_cpu
+    written.close()
+    return 1e3 * spent[0] / READINGS, 1e3 * spent[1] / READINGS
+
+
+def fsync_ms(folder: Path) -> float:
+    """Return how long the disk takes for 600 bytes, ms."""
+    begun = time.perf_counter()
+    with (folder / "probe").open("ab", buffering=0) as probe:
+        for _ in range(READINGS):
+            probe.write(b"x" * 600)
+            os.fsync(probe.fileno())
+    return 1e3 * (time.perf_counter() - begun) / READINGS
+
+
+# --- fits -------------------------------------------------------------------------------------------
+
+FIT, WHOLE, WHOLE_MS, BATCH_RATIO = (
+    "calibrate, gls",
+    "the whole result, every source of the budget",
+    50.0,
+    20.0,
+)
+
+
+def fits(given: argparse.Namespace) -> bool:
+    """Print what estimates of 54 readings cost, in turns; of the whole result (62 readings); and of a batch."""
+    from bench.calibration import calibrate
+    from benchmarks.many_units import calibrate_batch
+    from benchmarks.signed_uncertainty import Calibrator
+    from tests.support.honest_runs import MODEL, simulate_many
+    from tests.support.paper_bench import STAND_U, simulate
+    from tests.support.whole_truth import simulate_whole
+
+    tables = [simulate(np.random.default_rng([3, k]), 1e-4) for k in range(given.times)]
+    runs = [simulate_whole(np.random.default_rng([4, k]), "stand").readings for k in range(given.times)]
+    whole = Calibrator()
+
+    def by(estimator: str, k: int) -> object:
+        return calibrate(tables[k], MODEL, STAND_U, 9.81, estimator)
+
+    estimators = ("gls", "robust", "least-squares", "closed-form")
+    calls: dict[str, Callable[[int], object]] = {f"calibrate, {one}": partial(by, one) for one in estimators}
+    calls[WHOLE] = lambda k: whole.of(runs[k])
+    ms = {name: 1e3 * each for name, each in medians(calls, given.times).items()}
+    for name, took_ms in ms.items():
+        print(f"{name:48}{took_ms:8.2f} ms")
+    signals, conditions = simulate_many(5, given.units, 1e-4), tables[0].conditions()
+    batch_s = medians({"": lambda _: calibrate_batch(signals, conditions, MODEL, STAND_U)}, 3)[""]
+    ratio = ms[FIT] * given.units / (1e3 * batch_s)
+    print(
+        f"{f'a unit of a batch of {given.units}':48}{ms[FIT] / ratio:8.4f} ms, {ratio:.0f} times as fast as a loop"
+    )
+    print(f"promised: {WHOLE_MS:g} ms for the whole, {BATCH_RATIO:g} times for the batch")
+    return ms[WHOLE] < WHOLE_MS and ratio >= BATCH_RATIO
+
+
+# --- diagnosis and runs -----------------------------------------------------------------------------
+
+FIRST_S, AGAIN_S = 60.0, 1.0
+RUNS_S, RUNS_MB = 60.0, 1000.0
+RHO: Final = 2.3
+
+
+def diagnosis(given: argparse.Namespace) -> bool:
+    """Print CPU seconds of all that `bench diagnose` works out, on one core, by its verdict."""
+    from bench.diagnosis import ThresholdCache
+    from bench.diagnosis.pipeline import diagnose_fully
+    from benchmarks.blind_trial.adapter import LOCAL_GRAVITY, STATED_BENCH
+    from benchmarks.blind_trial.cases import Row, make_case
+
+    bench = load_bench(find_bench(STATED_BENCH))
+    model = ForwardModel(bench.installation_models())
+    spent: dict[str, list[float]] = defaultdict(list)
+    with tempfile.TemporaryDirectory() as folder:
+        cache = ThresholdCache(Path(folder))
+        for row in (Row("null"), Row("single", rho=20.0), Row("outside", rho=20.0)):
+            for index in range(given.each):
+                case, _ = make_case(5, row, index)
+                for what in ("a first design", ""):
+                    begun = time.process_time()
+                    full = diagnose_fully(
+                        case.readings, model, bench, LOCAL_GRAVITY, cache, source=case.id, simulated=True
+                    )
+                    spent[what or full.diagnosis.verdict].append(time.process_time() - begun)
+    print("| verdict | cases | CPU, s: median | largest |\n|---|---|---|---|")
+    for verdict, took in spent.items():
+        print(f"| {verdict} | {len(took)} | {np.median(took):.2f} | {max(took):.2f} |")
+    first = spent.pop("a first design")
+    return max(first) < FIRST_S and all(max(took) < AGAIN_S for took in spent.values())
+
+
+def many_runs(given: argparse.Namespace) -> bool:
+    """Print what a diagnosis of many runs as one body of data costs, its page included, beside that of one."""
+    kept = True
+    print("runs  blocks     CPU / s   ratio   peak / MB   ratio   verdict")
+    for blocks in (False, True):
+        first: Cost | None = None
+        for runs in given.runs:
+            found = cost_of(diagnosed, runs, blocks)
+            first = first or found
+            kept = kept and (runs > 20 or (found.cpu_s <= RUNS_S and found.peak_mb <= RUNS_MB))
+            of = "a block each" if blocks else "one block"
+            times, larger = found.cpu_s / first.cpu_s, found.peak_mb / first.peak_mb
+            print(f"{runs:4}  {of:12} {found.cpu_s:6.1f}  {times:5.1f}  {found.peak_mb:9.0f}  {larger:6.1f}   "
+                  f"{found.result}", flush=True)  # fmt: skip
+    return kept
+
+
+def diagnosed(runs: int, blocks: bool) -> str:
+    """Return the verdict of a diagnosis in this very process."""
+    from bench.diagnosis import ThresholdCache
+    from bench.diagnosis.pipeline import diagnose_fully
+    from bench.results.diagnosis_page import render_diagnosis
+    from bench.results.diagnosis_words import NO_FILES
+    from benchmarks.blind_trial.cases import Row, make_case
+
+    case, _ = make_case(1, Row("single", rho=RHO, runs=runs, blocks=blocks), 0)
+    bench = load_bench(find_bench("paper-stand"))
+    model = ForwardModel(bench.installation_models())
+    full = diagnose_fully(
+        case.readings, model, bench, 9.81, ThresholdCache(None), source="many", simulated=False, stated=False
+    )
+    render_diagnosis(full, NO_FILES, "many", bench.verification_limit_g, {"model": model.name})
+    return full.diagnosis.verdict
+
+
+# --- catalogue --------------------------------------------------------------------------------------
+
+QUESTIONS: Final[tuple[tuple[str, list[str], str], ...]] = (
+    ("ask", ["meter=MY540012", "after=2017-05-03"], "units"), ("ask", ["certificate=2017-40012"], "runs"),
+    ("ask", ["verdict=fail", "bench=bench-07"], "runs"),
+    ("ask", ["verdict!=pass", "operator=A.*"], "runs"), ("ask", ["unit=*00000"], "coefficients"),
+    ("ask", ["after=2017-09-01"], "runs"), ("ask", [], "units"), ("ask", [], "benches"),
+    ("ask", ["bench=bench-07"], "instruments"), ("folders", ["bench=bench-07"], ""),
+    ("table", ["bench=bench-07"], ""), ("unit", ["triaxial block A 00000"], ""),
+)  # fmt: skip
+"""What is asked: of answers, of folders for a batch, of coefficients as arrays, of a unit with its date due."""
+
+
+def catalogue(given: argparse.Namespace) -> bool:
+    """Print what the first sync costs, a second one with the folders held back, and questions."""
+    runs = sorted(path for path in given.folder.iterdir() if path.is_dir())
+    aside = given.folder.parent / f"{given.folder.name}-aside"
+    held = runs[-given.hold_back :] if given.hold_back else []
+    with tempfile.TemporaryDirectory() as place:
+        where = given.catalogue or str(Path(place) / "catalogue.sqlite")
+        aside.mkdir()
+        try:
+            for path in held:
+                path.rename(aside / path.name)
+            show_sync("first sync", cost_of(synced, where, str(given.folder)))
+        finally:
+            for path in held:
+                (aside / path.name).rename(path)
+            aside.rmdir()
+        show_sync("second sync", cost_of(synced, where, str(given.folder)))
+        found = cost_of(questioned, where)
+    print(f"questions: peak {found.peak_mb:.0f} MB, load {os.getloadavg()[0]:.1f}")
+    for words, rows, median, slowest in found.result:
+        print(f"  {words:55} {rows:7} rows  {median:6.3f} s  {slowest:6.3f} s")
+    return True
+
+
+def show_sync(what: str, found: Cost) -> None:
+    sizes = f"{found.wall_s:.1f} s, processor {found.cpu_s:.1f} s, peak {found.peak_mb:.0f} MB"
+    print(f"{what}: {sizes}, load {os.getloadavg()[0]:.1f}; {found.result}", flush=True)
+
+
+def synced(where: str, folder: str) -> dict[str, Any]:
+    """Sync a folder of runs."""
+    from bench.catalogue.store import open_catalogue
+    from bench.catalogue.sync import sync
+
+    with open_catalogue(where) as opened:
+        done = sync(opened, [folder])
+    return {**vars(done), "problems": len(done.problems)}
+
+
+def questioned(where: str) -> list[tuple[str, int, float, float]]:
+    """Ask all questions five times, from opening the catalogue; return words, rows, median and slowest, s."""
+    return list(starmap(partial(timed_question, where), QUESTIONS))
+
+
+def timed_question(where: str, kind: str, words: list[str], of: str) -> tuple[str, int, float, float]:
+    from bench.catalogue.questions import answer, run_folders
+    from bench.catalogue.store import open_catalogue
+    from bench.catalogue.unit import unit_history
+    from bench.catalogue.values import coefficient_table
+
+    times, rows = [], 0
+    for _ in range(5):
+        begun = time.perf_counter()
+        with open_catalogue(where, existing=True) as opened:
+            match kind:
+                case "unit":
+                    rows = len(unit_history(opened, words[0]).calibrations)
+                case "folders":
+                    rows = len(run_folders(opened, words))
+                case "table":
+                    rows = len(coefficient_table(opened, words))
+                case _:
+                    rows = len(answer(opened, words, of))
+        times.append(time.perf_counter() - begun)
+    shown = " ".join([kind, *words, *(["--of", of] if of else [])])
+    return shown, rows, statistics.median(times), max(times)
+
+
+PARTS: Final[dict[str, Callable[[argparse.Namespace], bool]]] = {
+    "program": program, "plan": plan, "record": record, "questions": questions, "fits": fits,
+    "diagnosis": diagnosis, "runs": many_runs, "catalogue": catalogue,
+}  # fmt: skip
+
+
+def main() -> int:
+    """Print the table of one part."""
+    given = arguments(
+        __doc__, part={"positional": True, "choices": PARTS}, events=(100_000, "of a long record"),
+        many=(1000, "runs that are listed"), times=(60, "calls of each estimator"),
+        units=(2000, "units of the batch"), each=(17, "diagnosed cases of each kind"),
+        runs=([1, 5, 20], "runs of one diagnosis"), folder={"type": Path, "help": "of the runs of a catalogue"},
+        catalogue=("", "file or URL"), hold_back=(100, "folders of the second sync"),
+    )  # fmt: skip
+    return 0 if PARTS[given.part](given) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
