@@ -22,7 +22,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Any, Final, NamedTuple, NoReturn, TypeVar
+from typing import Any, Final, NamedTuple, NoReturn, TextIO, TypeVar
 
 # the matrices are small: threads would only get in each other's way, and change the last digits
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -158,13 +158,13 @@ class Said(NamedTuple):
     seconds: float
 
 
-def command(*words: object, stdin: str = "") -> Said:
-    """Carry out a command of the program in this process."""
+def command(*words: object, stdin: str | TextIO = "") -> Said:
+    """Carry out a command of the program in this process; `stdin` is what is typed, or the keyboard itself."""
     from bench.cli.app import main
 
     out, err, before = io.StringIO(), io.StringIO(), sys.stdin
     begun, status = time.monotonic(), 0
-    sys.stdin = io.StringIO(stdin)
+    sys.stdin = io.StringIO(stdin) if isinstance(stdin, str) else stdin
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             main([str(word) for word in words])

@@ -38,7 +38,6 @@ from hypothesis import HealthCheck, Phase, seed, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
-from bench.cli.app import main as bench_command
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.steps import Read
 from bench.model import ForwardModel
@@ -53,7 +52,7 @@ from bench.run.person import OpenPrompt
 from bench.run.record import Record
 from bench.services.execution import taken_up
 from benchmarks.answering_campaign import answer_to
-from benchmarks.campaign import EMPTY_FIGURE, ROOT, arguments
+from benchmarks.campaign import EMPTY_FIGURE, ROOT, amiss, arguments, command
 from sim.bench import SimulatedBench
 from sim.world.clock import ScaledClock
 from tests.support.panel_client import Browser
@@ -152,21 +151,13 @@ class Desk:
         before = self._lines()
         self._trouble, self._at, self._events, self._asked = trouble, at, 0, OpenPrompt()
         self._away = f"--answers={launching.ANSWERS}" in arguments
-        out = io.StringIO()
-        with (
-            contextlib.redirect_stdout(out),
-            contextlib.redirect_stderr(out),
-            mock.patch.object(sys, "stdin", Typist(self)),
-        ):
-            try:
-                bench_command([str(one) for one in arguments])
-            except SystemExit as end:
-                status = end.code if isinstance(end.code, int) else STOPPED
+        status, out, err, _ = command(*arguments, stdin=Typist(self))
         self._trouble = ""
         if trouble in {"kill", "results"}:
             self._killed(before, at, results=trouble == "results")
-        self.after = f"{' '.join(map(str, arguments))} [{trouble} {at}]: {status} {out.getvalue()[-400:]}"
-        return Said(status, out.getvalue())
+        said = Said(status, out + err)
+        self.after = f"{' '.join(map(str, arguments))} [{trouble} {at}]: {status} {said.text[-400:]}"
+        return said
 
     def press(self, name: str, button: str, *, trouble: str = "", at: int = 0) -> Said:
         """Press a button of the panel; the program that it starts is carried out here, as a process would be."""
@@ -268,10 +259,8 @@ class Desk:
             self.kept[name] = _whole(self._lines()[name])
 
     def _lines(self) -> dict[str, bytes]:
-        return {
-            folder.parent.name: folder.with_name(EVENTS).read_bytes()
-            for folder in self.runs.glob(f"*/{MANIFEST}")
-        }
+        found = self.runs.glob(f"*/{MANIFEST}")
+        return {manifest.parent.name: manifest.with_name(EVENTS).read_bytes() for manifest in found}
 
     # --- what must hold -------------------------------------------------------------------------------
 
@@ -294,11 +283,8 @@ class Desk:
     def _check_run(self, name: str) -> list[str]:
         run = Run(self.runs / name)
         wrong = [*run.history.problems]
-        steps = Counter(
-            event.step
-            for event in run.history.events
-            if event.type == "step_done" and "reading" in event.data
-        )
+        taken = [e for e in run.history.events if e.type == "step_done" and "reading" in e.data]
+        steps = Counter(event.step for event in taken)
         wrong += [f"step {step} was read {times} times" for step, times in steps.items() if times > 1]
         planned = {index for index, step in enumerate(run.plan.steps) if isinstance(step, Read)}
         if run.history.state is RunState.FINISHED and set(steps) != planned:
@@ -411,9 +397,8 @@ class Evenings(RuleBasedStateMachine):
             shutil.rmtree(self.desk.runs / (oldest := self.desk.names()[0]))
             del self.desk.kept[oldest]
         name = f"n{TOLD.done.total():06d}"
-        said = self.desk.command(
-            "run", "short.yaml", "--bench", "bench.yaml", "--name", name, trouble=trouble, at=at
-        )
+        words = ("run", "short.yaml", "--bench", "bench.yaml", "--name", name)
+        said = self.desk.command(*words, trouble=trouble, at=at)
         self._judge(f"run, {trouble or 'no trouble'}", *_amiss(said))
 
     @rule(which=RUNS, trouble=TROUBLE, at=AT)
@@ -495,8 +480,7 @@ def main() -> None:
         print(f"{TOLD.done.total()} transitions, {time.monotonic() - begun_s:.0f} s", flush=True)
     for what, times in TOLD.done.most_common():
         print(f"{times:7d} {what}")
-    for text in TOLD.wrong:
-        print(f"AMISS {text}")
+    amiss(TOLD.wrong, "AMISS")
     print(f"{TOLD.done.total()} transitions, seeds {given.seed} to {number - 1}, {len(TOLD.wrong)} amiss")
     sys.exit(1 if TOLD.wrong else 0)
 

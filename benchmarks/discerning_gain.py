@@ -10,6 +10,7 @@ the table compares procedures, and does not say how well effects of a real bench
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +29,7 @@ from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.visibility import EffectPart, Form, ReadingDesign
 from bench.model import CATALOGUE, ForwardModel
 from bench.readings.table import UNORIENTED, VERIFICATION
-from benchmarks.campaign import arguments
+from benchmarks.campaign import arguments, markdown
 
 PROCEDURES = ("paper", "calibration", "discerning")
 FOR_TIES = (*PROCEDURES, "turn-12", "turn-24", "remount-90")
@@ -36,65 +37,39 @@ SIGMA_V = 15e-6
 """Noise of a reading."""
 
 
-def part(family: str, parameter: str, channel: int | None = None, *mounts: str, **shape: float) -> EffectPart:
-    return EffectPart(family, parameter, tuple(shape.items()), mounts, channel)
-
-
-def everywhere(family: str, parameter: str, channels: tuple[int, ...] = (0, 1, 2)) -> Form:
-    return tuple(part(family, parameter, channel) for channel in channels)
-
-
-TIES: dict[str, tuple[Form, Form]] = {
-    "backlash – zero_offset": ((part("backlash", "play"),), (part("zero_offset", "angle"),)),
-    "axis_wobble (once, sine) – zero_offset": (
-        (part("axis_wobble", "sine", harmonic=1.0),),
-        (part("zero_offset", "angle"),),
-    ),
-    "mounting_error 1 – mounting_offset 2": (
-        (part("mounting_error", "angle", None, "1"),),
-        (part("mounting_offset", "angle", None, "2"),),
-    ),
-    "turn_on_shift z – bracket_tilt 2": (
-        (part("turn_on_shift", "step", 2, "2"),),
-        (part("bracket_tilt", "angle", None, "2"),),
-    ),
-    "voltmeter_drift – bias_drift xyz": (
-        (part("voltmeter_drift", "rate"),),
-        everywhere("bias_drift", "rate"),
-    ),
+TIES: dict[str, tuple[str, str]] = {
+    "backlash – zero_offset": ("backlash.play", "zero_offset.angle"),
+    "axis_wobble (once, sine) – zero_offset": ("axis_wobble.sine*1", "zero_offset.angle"),
+    "mounting_error 1 – mounting_offset 2": ("mounting_error.angle@1", "mounting_offset.angle@2"),
+    "turn_on_shift z – bracket_tilt 2": ("turn_on_shift.step[z]@2", "bracket_tilt.angle@2"),
+    "voltmeter_drift – bias_drift xyz": ("voltmeter_drift.rate", "bias_drift.rate[xyz]"),
     "voltmeter_nonlinearity (square) – quadratic_nonlinearity xyz": (
-        (part("voltmeter_nonlinearity", "q2"),),
-        everywhere("quadratic_nonlinearity", "K2"),
+        "voltmeter_nonlinearity.q2", "quadratic_nonlinearity.K2[xyz]",
     ),
-    "bias_drift y – turn_on_shift y": (
-        (part("bias_drift", "rate", 1),),
-        (part("turn_on_shift", "step", 1, "2"),),
-    ),
+    "bias_drift y – turn_on_shift y": ("bias_drift.rate[y]", "turn_on_shift.step[y]@2"),
     "cubic_nonlinearity – odd_quadratic_nonlinearity (y)": (
-        (part("cubic_nonlinearity", "K3", 1),),
-        (part("odd_quadratic_nonlinearity", "Koq", 1),),
+        "cubic_nonlinearity.K3[y]", "odd_quadratic_nonlinearity.Koq[y]",
     ),
-    "quadratic_nonlinearity – scale_asymmetry (y)": (
-        (part("quadratic_nonlinearity", "K2", 1),),
-        (part("scale_asymmetry", "Kabs", 1),),
-    ),
-    "head_ellipticity (sine) – cubic_nonlinearity xyz": (
-        (part("head_ellipticity", "sine"),),
-        everywhere("cubic_nonlinearity", "K3"),
-    ),
-    "axis_wobble (twice, sine) – cross_coupling yz": (
-        (part("axis_wobble", "sine", harmonic=2.0),),
-        everywhere("cross_coupling", "Kpo", (1, 2)),
-    ),
-    "channel_crosstalk – cross_coupling, all terms": (
-        (part("channel_crosstalk", "fraction"),),
-        tuple(
-            part("cross_coupling", p.name, c)
-            for p in CATALOGUE["cross_coupling"].parameters
-            for c in (0, 1, 2)
-        ),
-    ),
-}
+    "quadratic_nonlinearity – scale_asymmetry (y)": ("quadratic_nonlinearity.K2[y]", "scale_asymmetry.Kabs[y]"),
+    "head_ellipticity (sine) – cubic_nonlinearity xyz": ("head_ellipticity.sine", "cubic_nonlinearity.K3[xyz]"),
+    "axis_wobble (twice, sine) – cross_coupling yz": ("axis_wobble.sine*2", "cross_coupling.Kpo[yz]"),
+    "channel_crosstalk – cross_coupling, all terms": ("channel_crosstalk.fraction", "cross_coupling.all[xyz]"),
+}  # fmt: skip
+"""Forms that are hardly to be told apart: effect, parameter (or all), `*` harmonic, channels, `@` installation."""
+_FORM = re.compile(r"(\w+)\.(\w+)(?:\*(\d))?(?:\[(\w+)\])?(?:@(\d))?")
+
+
+def form_of(text: str) -> Form:
+    """Return a form as `TIES` writes it."""
+    found = _FORM.fullmatch(text)
+    if found is None:
+        raise ValueError(text)
+    family, parameter, harmonic, channels, mount = found.groups()
+    names = [p.name for p in CATALOGUE[family].parameters] if parameter == "all" else [parameter]
+    shape = (("harmonic", float(harmonic)),) if harmonic else ()
+    mounts = (mount,) if mount else ()
+    where = ["xyz".index(c) for c in channels] if channels else [None]
+    return tuple(EffectPart(family, name, shape, mounts, channel) for name in names for channel in where)
 
 
 @dataclass
@@ -184,17 +159,16 @@ def main() -> None:
         trial = trials[procedure]
         s = trial.score(given.draws, given.seed)
         hours = trial.plan.expected_duration_s() / 3600.0
-        told = (
-            f"{s.named / s.draws:.2f} | {s.in_set / max(s.named, 1):.3f} | {s.set_size / max(s.named, 1):.2f}"
-        )
-        alone = f"{s.alone / s.draws:.2f} | {s.alone_right / max(s.alone, 1):.3f}"
-        print(f"| {procedure} | {trial.settings} | {hours:.1f} | {told} | {alone} |")
+        in_set, size = s.in_set / max(s.named, 1), s.set_size / max(s.named, 1)
+        told = f"{s.named / s.draws:.2f} | {in_set:.3f} | {size:.2f} | {s.alone / s.draws:.2f}"
+        right = s.alone_right / max(s.alone, 1)
+        print(f"| {procedure} | {trial.settings} | {hours:.1f} | {told} | {right:.3f} |")
     print()
-    print(f"| tie | {' | '.join(FOR_TIES)} |")
-    print(f"|---|{'---|' * len(FOR_TIES)}")
-    for tie, (one, other) in TIES.items():
-        cosines = [f"{trials[p].design.cosine(one, other):.3f}" for p in FOR_TIES]
-        print(f"| {tie} | {' | '.join(cosines)} |")
+    rows = (
+        (tie, *(f"{trials[p].design.cosine(*map(form_of, forms)):.3f}" for p in FOR_TIES))
+        for tie, forms in TIES.items()
+    )
+    print("\n".join(markdown(("tie", *FOR_TIES), rows)))
 
 
 if __name__ == "__main__":

@@ -204,12 +204,12 @@ class WatchedWire:
         return made
 
 
+@dataclass
 class Watch:
     """Arms the faults in the simulated bench of the next run, and counts."""
 
-    def __init__(self, faults: Sequence[Fault]) -> None:
-        self.faults = faults
-        self.wires: list[WatchedWire] = []
+    faults: Sequence[Fault]
+    wires: list[WatchedWire] = field(default_factory=list)
 
     def __call__(self, *arguments: Any, **named: Any) -> SimulatedBench:
         """Stand for the class `SimulatedBench` in the composition root."""

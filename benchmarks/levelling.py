@@ -29,7 +29,7 @@ from bench.readings.corrected import LevelReading, with_levels
 from bench.readings.table import make_readings
 from bench.run.instruments import Instruments
 from bench.run.workbench import Levelling
-from benchmarks.campaign import arguments, finish, outside, show_by_coefficient
+from benchmarks.campaign import arguments, finish, outside, rms, show_by_coefficient
 from drivers.interfaces import Direction, HeadPosition, Identity, Inclination, LevelSizes
 from drivers.person import Answer, Prompt
 from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
@@ -39,6 +39,7 @@ LEFT_RAD = 5.0 * ARCSEC
 """What is left of the platform's tilt is uniform within this."""
 NOISE_V = 1e-4
 SETTINGS = 3
+LIMITS = np.array([STAND_U[name] for name in ("axis_tilt", "zero_offset", "mounting_error")])
 MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 
 
@@ -82,9 +83,8 @@ class Platform:
         tilt = self.alpha + np.array([0.0, self._set_rad])
         seen = (1.0 + self.scale) * (tilt + self.askew * tilt[::-1]) * (-1.0 if turned else 1.0) + self.zero
         if self.bubble:
-            shown = (
-                np.round((seen / ARCSEC / 5.0 + self.rng.normal(0.0, 0.2, 2)) * 10.0) / 10.0 * 5.0 * ARCSEC
-            )
+            divisions = seen / ARCSEC / 5.0 + self.rng.normal(0.0, 0.2, 2)
+            shown = np.round(divisions * 10.0) / 10.0 * 5.0 * ARCSEC
         else:
             shown = np.round((seen + self.rng.normal(0.0, 4.7e-6, 2)) * 1e6) / 1e6
         return Inclination(float(shown[0]), float(shown[1]))
@@ -118,9 +118,7 @@ def calibrations(k: int, u_level: Floats, seed: int = 2) -> tuple[Floats, Floats
     """Return error and u of the readings with the level and without it, (12,) each."""
     rng = np.random.default_rng([seed, k])
     installation, pass_number, point, phi = design()
-    angles = rng.normal(
-        0.0, [STAND_U[name] for name in ("axis_tilt", "zero_offset", "mounting_error")], (2, 3)
-    )
+    angles = rng.normal(0.0, LIMITS, (2, 3))
     which = np.array([int(label) - 1 for label in installation])
     setting = rng.normal(0.0, SETTING_U_RAD, len(phi))
     one, two, three = angles[which].T
@@ -131,17 +129,13 @@ def calibrations(k: int, u_level: Floats, seed: int = 2) -> tuple[Floats, Floats
     told = (angles[:, :2] + rng.normal(0.0, u_level, (2, 2))) / ARCSEC
     u = (float(u_level[0] / ARCSEC), float(u_level[1] / ARCSEC))
     seen = [
-        LevelReading(0.0, (1, label), True, (float(t[0]), float(t[1])), u)
-        for label, t in zip("12", told, strict=True)
+        LevelReading(0.0, (1, c), True, (float(t[0]), float(t[1])), u)
+        for c, t in zip("12", told, strict=True)
     ]
     truth = np.concatenate([K.ravel(), U0])
     levelled, limited = (calibrate(one, MODEL, STAND_U, 9.81) for one in (with_levels(plain, seen), plain))
-    return (
-        levelled.block.vector - truth,
-        levelled.u_readings,
-        limited.block.vector - truth,
-        limited.u_readings,
-    )
+    with_it, without = ((one.block.vector - truth, one.u_readings) for one in (levelled, limited))
+    return (*with_it, *without)
 
 
 def theory(u_level: Floats | None) -> Floats:
@@ -167,9 +161,7 @@ def theory(u_level: Floats | None) -> Floats:
         noise = NOISE_V**2 * np.eye(3) + SETTING_U_RAD**2 * np.outer(slope[row], slope[row])
         own = jacobian[3 * row : 3 * row + 3]
         information += own.T @ np.linalg.solve(noise, own)
-    limits = np.array([STAND_U[name] for name in ("axis_tilt", "zero_offset", "mounting_error")])
-    if u_level is not None:
-        limits = np.concatenate([u_level, limits[2:]])
+    limits = LIMITS if u_level is None else np.concatenate([u_level, LIMITS[2:]])
     information[12:, 12:] += np.diag(1.0 / np.tile(limits, 2) ** 2)
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))[:12]))
 
@@ -181,12 +173,9 @@ def show_levellings(count: int) -> list[str]:
         for settings in (1, SETTINGS):
             z = levellings(count, bubble=bubble, settings=settings)
             within = np.mean(np.abs(z) <= 2.0, axis=0)
-            rms = np.sqrt(np.mean(z**2, axis=0))
-            kind = "bubble" if bubble else "electronic"
-            print(
-                f"{kind:10} {settings} settings: within U α1 {within[0]:.3f}, α2 {within[1]:.3f}; "
-                f"rms z {rms[0]:.3f}, {rms[1]:.3f}"
-            )
+            sizes, kind = rms(z), "bubble" if bubble else "electronic"
+            told = f"within U α1 {within[0]:.3f}, α2 {within[1]:.3f}; rms z {sizes[0]:.3f}, {sizes[1]:.3f}"
+            print(f"{kind:10} {settings} settings: {told}")
             least = min(0.94, float(stats.binom.ppf(0.001, count, 0.9545)) / count)
             broken += [f"{kind}: within U {share:.3f}" for share in within if share < least]
     return broken
@@ -195,25 +184,16 @@ def show_levellings(count: int) -> list[str]:
 def show_calibrations(runs: int) -> list[str]:
     """Print rms z and the shrinking of u beside theory; return which bars are broken."""
     u_level = np.array([0.5, 1.2]) * ARCSEC
-    parts = [
-        np.array(column) for column in zip(*(calibrations(k, u_level) for k in range(runs)), strict=True)
-    ]
-    error, u, plain_error, plain_u = parts
+    columns = zip(*(calibrations(k, u_level) for k in range(runs)), strict=True)
+    error, u, plain_error, plain_u = (np.array(column) for column in columns)
     ratio, expected = np.mean(u / plain_u, axis=0), theory(u_level) / theory(None)
-    rows = (
-        ("z, levelled", np.sqrt(np.mean((error / u) ** 2, axis=0))),
-        ("z, limits", np.sqrt(np.mean((plain_error / plain_u) ** 2, axis=0))),
-        ("u ratio", ratio),
-        ("theory", expected),
-        ("scatter ratio", np.sqrt(np.mean(error**2, axis=0) / np.mean(plain_error**2, axis=0))),
-    )
+    z = rms(error / u)
+    rows = {"z, levelled": z, "z, limits": rms(plain_error / plain_u), "u ratio": ratio, "theory": expected}
     print(f"{runs} runs:       " + " ".join(f"{name:>6}" for name in COEFFICIENTS))
-    show_by_coefficient(dict(rows))
+    show_by_coefficient({**rows, "scatter ratio": rms(error) / rms(plain_error)})
     room = 3.0 / np.sqrt(2.0 * runs)
-    z = rows[0][1]
-    return outside("z", z, 0.9 - room, 1.1 + room) + outside(
-        "u ratio less theory's", ratio - expected, -0.05, 0.05
-    )
+    broken = outside("z", z, 0.9 - room, 1.1 + room)
+    return broken + outside("u ratio less theory's", ratio - expected, -0.05, 0.05)
 
 
 def main() -> int:

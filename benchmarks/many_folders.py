@@ -50,11 +50,8 @@ BENCH_EFFECT: Final = 3e-5
 DRIFT_A_YEAR: Final = 3e-5
 """Standard deviations of the truth in each coefficient, V/g and V (a year)."""
 STAND_SD: Final = np.array([5.0 / 3.0, 5.0 / 3.0, 30.0, 0.0, 0.0]) * ARCSEC
-INSTALLATIONS: Final = (
-    INSTALLATION_1,
-    INSTALLATION_2,
-    Installation.from_axes("V", ("x", "y", "z"), np.pi / 4),
-)
+VERIFIED: Final = Installation.from_axes("V", ("x", "y", "z"), np.pi / 4)
+INSTALLATIONS: Final = (INSTALLATION_1, INSTALLATION_2, VERIFIED)
 WHERE: Final = np.repeat([0, 1, 2], [27, 27, 4])
 TARGET_DEG: Final = np.concatenate([np.tile(np.arange(9) * 45.0, 6), np.arange(45.0, 360.0, 90.0)])
 
@@ -196,21 +193,14 @@ ODD: Final = 33
 ODD_KXZ: Final = 4e-3
 
 
-@dataclass
 class Template:
     """The folder of a real dry run, cut into what stays and what changes."""
 
-    folder: Path
-    events: list[dict[str, Any]] = field(init=False)
-    calibrated: dict[str, Any] = field(init=False)
-    verified: dict[str, Any] = field(init=False)
-    manifest: dict[str, Any] = field(init=False)
-
-    def __post_init__(self) -> None:
-        lines = (self.folder / "events.jsonl").read_text(encoding="utf-8").splitlines()
-        self.events = [json.loads(line) for line in lines]
+    def __init__(self, folder: Path) -> None:
+        lines = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines()
+        self.events: list[dict[str, Any]] = [json.loads(line) for line in lines]
         self.calibrated, self.verified, self.manifest = (
-            json.loads((self.folder / f"{name}.json").read_text(encoding="utf-8"))
+            json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
             for name in ("calibrate", "verify", "run")
         )
         self.covariance = np.array(self.calibrated["covariance"])
@@ -218,11 +208,9 @@ class Template:
         self.theta = np.array([self.calibrated["coefficients"][name]["value"] for name in COEFFICIENTS])
         self.noise_v = float(self.calibrated["noise"]["reading_v"])
         self.fixed = {k: json.dumps(v, ensure_ascii=False) for k, v in self.calibrated.items()}
-        compact = json.dumps(json.loads((self.folder / "plan.json").read_bytes()), separators=(",", ":"))
-        self.inputs = {
-            "plan.json": compact.encode(),
-            "procedure.yaml": (self.folder / "procedure.yaml").read_bytes(),
-        }
+        compact = json.dumps(json.loads((folder / "plan.json").read_bytes()), separators=(",", ":"))
+        procedure = (folder / "procedure.yaml").read_bytes()
+        self.inputs = {"plan.json": compact.encode(), "procedure.yaml": procedure}
         self.hashes = {name: hashlib.sha256(content).hexdigest() for name, content in self.inputs.items()}
         self.parts = [self._parts(event) for event in self.events]
 
@@ -280,15 +268,9 @@ class Writer:
             self._write_run(int(run), angles[k], seen[k], found[k], g_p[k], residual, float(scatter[k]))
 
     def _write_run(
-        self,
-        run: int,
-        angles: Floats,
-        seen: Floats,
-        found: Floats,
-        g_p: Floats,
-        residual: dict[str, float],
-        scatter: float,
-    ) -> None:
+        self, run: int, angles: Floats, seen: Floats, found: Floats, g_p: Floats,
+        residual: dict[str, float], scatter: float,
+    ) -> None:  # fmt: skip
         unit, bench = int(self.truth.unit[run]), int(self.truth.bench[run])
         when = FIRST_DAY + timedelta(days=float(self.truth.day[run]))
         stamp = when.strftime("%Y-%m-%dT%H:%M:%S")
@@ -296,27 +278,19 @@ class Writer:
         digest, bench_text = self._bench_file(bench, when.year, kind)
         folder = self.out / f"simulated-{run:06}"
         manifest = {
-            **self.template.manifest,
-            "name": folder.name,
-            "created": f"{stamp}.000000+00:00",
-            "seed": run,
-            "operator": OPERATORS[(run // 7) % len(OPERATORS)],
-            "procedure": "paper-once.yaml",
-            "bench": f"bench-{bench:02}.yaml",
-            "unit_under_test": {"type": TYPES[kind], "serial": f"{unit:05}"},
+            **self.template.manifest, "name": folder.name, "created": f"{stamp}.000000+00:00", "seed": run,
+            "operator": OPERATORS[(run // 7) % len(OPERATORS)], "procedure": "paper-once.yaml",
+            "bench": f"bench-{bench:02}.yaml", "unit_under_test": {"type": TYPES[kind], "serial": f"{unit:05}"},
             "files": {**self.template.hashes, "bench.yaml": digest},
-        }
+        }  # fmt: skip
         run_text = json.dumps(manifest).encode()
         serials = meters_of(bench, when.year)
         events, head = self._events(hashlib.sha256(run_text).hexdigest(), stamp, angles, seen, serials)
         files = {
-            **self.template.inputs,
-            "bench.yaml": bench_text,
-            "run.json": run_text,
-            "events.jsonl": events,
+            **self.template.inputs, "bench.yaml": bench_text, "run.json": run_text, "events.jsonl": events,
             "calibrate.json": self._calibrated(manifest, found, residual, scatter, head, serials, bench),
             "verify.json": self._verified(g_p, angles[WHERE == 2], folder.name, bench, digest),
-        }
+        }  # fmt: skip
         folder.mkdir()
         for name, content in files.items():
             (folder / name).write_bytes(content)
@@ -352,17 +326,11 @@ class Writer:
         return b"\n".join([*lines, b""]), head
 
     def _calibrated(
-        self,
-        manifest: dict[str, Any],
-        found: Floats,
-        residual: dict[str, float],
-        scatter: float,
-        head: str,
-        serials: tuple[str, ...],
-        bench: int,
-    ) -> bytes:
+        self, own: dict[str, Any], found: Floats, residual: dict[str, float], scatter: float, head: str,
+        serials: tuple[str, ...], bench: int,
+    ) -> bytes:  # fmt: skip
         """Return calibrate.json: the template's, with what this run has of its own."""
-        own, before = manifest, self.template.calibrated
+        before = self.template.calibrated
         coefficients = {
             name: {**before["coefficients"][name], "value": value}
             for name, value in zip(COEFFICIENTS, found.tolist(), strict=True)
@@ -379,15 +347,11 @@ class Writer:
             "coefficients": coefficients,
             "coefficients_per_ms2": {"unit": before["coefficients_per_ms2"]["unit"], **per_ms2},
             "residual": {k: float(v) for k, v in residual.items()} | {"dof": 42},
-            "noise": {**before["noise"], **sizes},
-            "source": own["name"],
+            "noise": {**before["noise"], **sizes}, "source": own["name"],
             "bench": _bench(before, own["name"], bench, own["files"]["bench.yaml"]),
-            "made_at": own["created"],
-            "unit_under_test": own["unit_under_test"],
-            "meters": meters,
-            "corrections": [],
-            "record": {"events": len(self.template.events), "head": head},
-        }
+            "made_at": own["created"], "unit_under_test": own["unit_under_test"], "meters": meters,
+            "corrections": [], "record": {"events": len(self.template.events), "head": head},
+        }  # fmt: skip
         texts = {**self.template.fixed, **{k: json.dumps(v) for k, v in changed.items()}}
         return ("{" + ", ".join(f'"{k}": {v}' for k, v in texts.items()) + "}\n").encode()
 
@@ -397,29 +361,17 @@ class Writer:
         for was, value, angle in zip(before["points"], g_p.tolist(), angles.tolist(), strict=True):
             beyond = [float(special.ndtr((-LIMIT_G - s * (value - 1.0)) / was["u"])) for s in (-1, 1)]
             passed, false = abs(value - 1.0) <= LIMIT_G, sum(beyond)
-            points.append(
-                {
-                    **was,
-                    "angle_deg": angle,
-                    "g_p": value,
-                    "delta_g": value - 1.0,
-                    "passed": passed,
-                    "statement": "pass" if passed else "fail",
-                    "p_false_accept": false if passed else None,
-                    "p_false_reject": None if passed else 1.0 - false,
-                }
-            )
+            points.append({
+                **was, "angle_deg": angle, "g_p": value, "delta_g": value - 1.0, "passed": passed,
+                "statement": "pass" if passed else "fail", "p_false_accept": false if passed else None,
+                "p_false_reject": None if passed else 1.0 - false,
+            })  # fmt: skip
         passed = all(p["passed"] for p in points)
         whole = {
-            **before,
-            "passed": passed,
-            "statement": "pass" if passed else "fail",
-            "p_false_accept": None,
+            **before, "passed": passed, "statement": "pass" if passed else "fail", "p_false_accept": None,
             "p_false_accept_worst": max(p["p_false_accept"] for p in points) if passed else None,
-            "points": points,
-            "bench": _bench(before, name, bench, digest),
-            "corrections": [],
-        }
+            "points": points, "bench": _bench(before, name, bench, digest), "corrections": [],
+        }  # fmt: skip
         return (json.dumps(whole, ensure_ascii=False) + "\n").encode()
 
 

@@ -34,11 +34,9 @@ TYPED: Final = (3600.0, -3600.0, 600.0, -600.0, 60.0, -60.0, None)
 """What is typed where the head stands right, arcsec off; None for 360° - x."""
 
 REDO: Final = {
-    "not remounted": "mount again",
-    "remounted wrongly": "mount again",
-    "cables swapped": "redo pass",
+    "not remounted": "mount again", "remounted wrongly": "mount again", "cables swapped": "redo pass",
     "wrong direction": "redo pass",
-}
+}  # fmt: skip
 """What is answered when the run stops; the point is taken again where nothing else stands here."""
 
 
@@ -97,12 +95,7 @@ def _possible(kind: str, plan: Plan, index: int) -> bool:
 
 
 def _of_mounting(
-    kind: str,
-    plan: Plan,
-    index: int,
-    step: Mount,
-    installations: Mapping[str, Installation],
-    random: Random,
+    kind: str, plan: Plan, index: int, step: Mount, installations: Mapping[str, Installation], random: Random
 ) -> Mistake:
     before = _last_mount(plan, index)
     if kind == "not remounted":
@@ -135,9 +128,8 @@ def _of_turn(kind: str, plan: Plan, index: int, step: Turn, random: Random) -> M
     if kind == "misread 360° - x":
         return Mistake(kind, index, _as_well(plan, index, -target), angle_rad=-target)
     off_arcsec = random.choice(TYPED if not _same(2 * target, -2 * target) else TYPED[:-1])
-    words = (
-        "360° - x" if off_arcsec is None else {3600: "(1°)", 600: "(10′)", 60: "(1′)"}[abs(int(off_arcsec))]
-    )
+    sizes = {3600: "(1°)", 600: "(10′)", 60: "(1′)"}
+    words = "360° - x" if off_arcsec is None else sizes[abs(int(off_arcsec))]
     return Mistake(kind, index, (words,), off_arcsec=off_arcsec)
 
 
@@ -219,11 +211,8 @@ class _Hands:
         world.signal_v = signal_v
 
     def _wrong_now(self) -> Mistake | None:
-        return (
-            None
-            if self.mended or self._mistake is None or self.index != self._mistake.index
-            else self._mistake
-        )
+        at_it = self._mistake is not None and self.index == self._mistake.index
+        return self._mistake if at_it and not self.mended else None
 
     def mount(self, installation: str, series: int = 1) -> None:
         """Mount the block, or not, or otherwise."""

@@ -136,18 +136,12 @@ class Fed:
         for channel in CHANNELS:
             self.world.new_reading(channel)
         mean = [self.world.signal_v(channel) + float(n) for channel, n in zip(CHANNELS, noise, strict=True)]
-        angle_rad = None if step.target_rad is None else self.angle_rad
+        angle_deg = None if step.target_rad is None else math.degrees(self.angle_rad)
         return Reading(
-            installation=step.installation,
-            series=step.series,
-            pass_number=step.pass_number,
-            point=step.point,
-            angle_deg=None if angle_rad is None else math.degrees(angle_rad),
-            direction=step.direction or 0,
-            time_s=self.world.clock.now_s(),
-            temperature_c=self.world.block_c,
-            mean=(mean[0], mean[1], mean[2]),
-        )
+            installation=step.installation, series=step.series, pass_number=step.pass_number, point=step.point,
+            angle_deg=angle_deg, direction=step.direction or 0, time_s=self.world.clock.now_s(),
+            temperature_c=self.world.block_c, mean=(mean[0], mean[1], mean[2]),
+        )  # fmt: skip
 
 
 def watched(kind: str, number: int, seed: int, procedure: str, bench_name: str) -> Outcome:
@@ -175,23 +169,14 @@ def watched(kind: str, number: int, seed: int, procedure: str, bench_name: str) 
         stop = next((sign for sign in signs if sign.confident), None)
         if stop is not None:
             right_cause = mistake is not None and begun and is_right(stop.causes, mistake)
-            return replace(
-                outcome,
-                size=size,
-                stopped=True,
-                late=since or 0,
-                causes=stop.causes,
-                right=right_cause,
-                large_at=large_at,
-            )
+            outcome = replace(outcome, size=size, stopped=True, late=since or 0, large_at=large_at)
+            return replace(outcome, causes=stop.causes, right=right_cause)
         if (since is not None and since >= 2) or (begun and mistake and _over(plan, mistake, index)):
             break
     if kind == "typed" and mistake is not None:  # the prompt asks again, no reading is wrong
         told = fed.operator.slips_told
-        right_cause = bool(told) and all(mistake.named[0] in text for text in told)
-        return replace(
-            outcome, size=math.inf, stopped=bool(told), late=0, causes=tuple(told), right=right_cause
-        )
+        outcome = replace(outcome, size=math.inf, stopped=bool(told), late=0, causes=tuple(told))
+        return replace(outcome, right=bool(told) and all(mistake.named[0] in text for text in told))
     return replace(outcome, size=size if mistake else None, large_at=large_at)
 
 
@@ -240,9 +225,8 @@ def whole(kind: str, number: int, seed: int, procedure: str, bench_name: str, fo
             late = max(len(reads) - 1, 0)
             outcome = replace(outcome, late=late, causes=causes, right=is_right(causes, mistake))
         if mistake.kind == "typed":  # the prompt asks again: nothing is to be stopped
-            outcome = replace(
-                outcome, stopped=fed.stopped and not stops, late=0, causes=fed.causes, right=fed.right
-            )
+            stopped = fed.stopped and not stops
+            outcome = replace(outcome, stopped=stopped, late=0, causes=fed.causes, right=fed.right)
         again, more = _carried_out(runs, "undisturbed", plan, run_seed, procedure, bench_name, None)
         worst = _difference(run, again) if not trouble + more else math.inf
         return replace(outcome, trouble=trouble + more, worst=worst, agrees=worst <= 1.0)
@@ -303,9 +287,8 @@ def table(outcomes: Sequence[Outcome]) -> tuple[list[str], bool]:
         if compared:
             agree = sum(bool(row.agrees) for row in compared)
             worst = max(row.worst or 0.0 for row in compared)
-            lines.append(
-                f"{'':24} after the redo within u: {Share(agree, len(compared))}, worst {worst:.2f} u"
-            )
+            share = Share(agree, len(compared))
+            lines.append(f"{'':24} after the redo within u: {share}, worst {worst:.2f} u")
             kept &= agree == len(compared)
     clean = [row for row in outcomes if row.kind == CLEAN]
     if clean:
@@ -315,15 +298,6 @@ def table(outcomes: Sequence[Outcome]) -> tuple[list[str], bool]:
     troubles = [row for row in outcomes if row.trouble]
     lines += [f"TROUBLE {row.kind} seed {row.seed}: {row.trouble}" for row in troubles]
     return lines, kept and not troubles
-
-
-def campaign(part: str, runs: int, clean: int, seed: int, jobs: int, **options: Any) -> list[Outcome]:
-    """Carry out the runs of a part in so many processes (1: in this one)."""
-    kinds = options.pop("kinds", None) or KINDS
-    tasks = [(kind, number) for number in range(runs) for kind in kinds]
-    tasks += [(CLEAN, number) for number in range(clean)]
-    work = partial(_one, part, seed, options)
-    return list(spread(work, tasks, jobs))
 
 
 def _one(part: str, seed: int, given: dict[str, Any], task: tuple[str, int]) -> Outcome:
@@ -349,10 +323,10 @@ def main() -> int:
     else:
         begun_s = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
-            outcomes = campaign(
-                given.part, given.runs, given.clean, given.seed, given.jobs, kinds=given.kinds,
-                procedure=given.procedure, bench_name=given.bench, folder=Path(folder),
-            )  # fmt: skip
+            options = {"procedure": given.procedure, "bench_name": given.bench, "folder": Path(folder)}
+            tasks = [(kind, number) for number in range(given.runs) for kind in given.kinds or KINDS]
+            tasks += [(CLEAN, number) for number in range(given.clean)]
+            outcomes = list(spread(partial(_one, given.part, given.seed, options), tasks, given.jobs))
         took_s = time.monotonic() - begun_s
         print(f"{len(outcomes)} runs in {took_s:.0f} s with {given.jobs} processes, seed {given.seed}")
     if given.out:

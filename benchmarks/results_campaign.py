@@ -33,7 +33,7 @@ import scipy.stats  # noqa: F401
 from bench.cli import program
 from bench.run.events import EVENTS, RunState
 from bench.run.folder import RESULTS, Run
-from benchmarks.campaign import EMPTY_FIGURE, arguments
+from benchmarks.campaign import EMPTY_FIGURE, amiss, arguments
 
 MADE: Final = ("calibrate.json", "verify.json", "report.html")
 PATTERNS: Final = (
@@ -179,9 +179,9 @@ def table(outcomes: Sequence[Outcome]) -> str:
             continue
         hows = ", ".join(f"{n} {how}" for how, n in Counter(one.how for one in those).most_common())
         longest = max(one.ended_s for one in those)
-        amiss = sum(bool(one.wrong) for one in those)
+        wrong = sum(bool(one.wrong) for one in those)
         told = " ".join(number.name for number in pattern)
-        lines.append(f"{told:>20} {len(those):>5} {longest:>22.2f} s {amiss:>6}  {hows}")
+        lines.append(f"{told:>20} {len(those):>5} {longest:>22.2f} s {wrong:>6}  {hows}")
     return "\n".join(lines)
 
 
@@ -203,15 +203,14 @@ def main() -> None:
         outcomes = []
         for trial in trials:
             outcomes.append(outcome := carry_out(trial, folder, results_s))
-            for text in outcome.wrong:
-                print(f"AMISS {trial}: {text}", flush=True)
+            amiss([f"{trial}: {text}" for text in outcome.wrong], "AMISS")
             if trial.number % 20 == 0:
                 print(f"{trial.number} runs, {time.monotonic() - begun_s:.0f} s", flush=True)
     print(table(outcomes))
-    amiss = sum(bool(outcome.wrong) for outcome in outcomes)
+    wrong = sum(bool(outcome.wrong) for outcome in outcomes)
     signals = sum(len(outcome.trial.signals) for outcome in outcomes)
-    print(f"{len(outcomes)} runs, {signals} signals over {results_s:.1f} s, seed {given.seed}, {amiss} amiss")
-    sys.exit(1 if amiss else 0)
+    print(f"{len(outcomes)} runs, {signals} signals over {results_s:.1f} s, seed {given.seed}, {wrong} amiss")
+    sys.exit(1 if wrong else 0)
 
 
 if __name__ == "__main__":

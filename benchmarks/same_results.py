@@ -16,20 +16,19 @@ where anything differs.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import math
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any, Final
 from xml.etree import ElementTree
 
-from benchmarks.campaign import amiss
+from benchmarks.campaign import amiss, arguments, refuse
 
 RELATIVE: Final = 1e-9
 PROCEDURES: Final = ("paper", "quick", "calibration", "paper", "turn-12", "remount-180")
@@ -176,22 +175,35 @@ class Page(HTMLParser):
             self.lines.append(" ".join(data.split()))
 
 
-def _compare_json(found: Differences, where: str, one: Path, other: Path) -> None:
-    mine, theirs = (json.loads(path.read_text(encoding="utf-8")) for path in (one, other))
-    found.values(where, mine, theirs)
+def _read(path: Path) -> Any:
+    """Return what is compared of a file."""
+    match path.suffix:
+        case ".xml":
+            return list(_leaves(ElementTree.parse(path).getroot()))  # noqa: S314 - ours
+        case ".json":
+            return json.loads(path.read_text(encoding="utf-8"))
+        case ".html":
+            return Page(path.read_text(encoding="utf-8"))
+        case ".jsonl":  # event by event, without hashes and civil times
+            return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+        case ".csv":
+            return list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+    return path.read_text(encoding="utf-8")
 
 
-def _compare_page(found: Differences, where: str, one: Path, other: Path) -> None:
-    mine, theirs = (Page(path.read_text(encoding="utf-8")) for path in (one, other))
-    found.values(f"{where}:plots", mine.plotted, theirs.plotted)
-    found.text(where, "\n".join(mine.lines), "\n".join(theirs.lines))
-
-
-def _compare_xml(found: Differences, where: str, one: Path, other: Path) -> None:
-    mine, theirs = (list(_leaves(ElementTree.parse(path).getroot())) for path in (one, other))  # noqa: S314 - ours
-    found.values(f"{where}:elements", [name for name, _ in mine], [name for name, _ in theirs])
-    for (name, text), (_, said) in zip(mine, theirs, strict=False):
-        found.values(f"{where}:{name}", text, said)
+def _compare_files(found: Differences, where: str, one: Path, other: Path) -> None:
+    mine, theirs = _read(one), _read(other)
+    if one.suffix == ".html":
+        found.values(f"{where}:plots", mine.plotted, theirs.plotted)
+        found.text(where, "\n".join(mine.lines), "\n".join(theirs.lines))
+    elif one.suffix == ".xml":
+        found.values(f"{where}:elements", [name for name, _ in mine], [name for name, _ in theirs])
+        for (name, text), (_, said) in zip(mine, theirs, strict=False):
+            found.values(f"{where}:{name}", text, said)
+    elif isinstance(mine, str):
+        found.text(where, mine, theirs)
+    else:
+        found.values(where, mine, theirs)
 
 
 def _leaves(element: ElementTree.Element, path: str = "") -> Iterator[tuple[str, str]]:
@@ -201,28 +213,8 @@ def _leaves(element: ElementTree.Element, path: str = "") -> Iterator[tuple[str,
         yield from _leaves(child, here)
 
 
-def _compare_table(found: Differences, where: str, one: Path, other: Path) -> None:
-    mine, theirs = (list(csv.reader(path.read_text(encoding="utf-8").splitlines())) for path in (one, other))
-    found.values(where, mine, theirs)
-
-
-def _compare_events(found: Differences, where: str, one: Path, other: Path) -> None:
-    """Compare records: event by event, without hashes and civil times."""
-    mine, theirs = (
-        [json.loads(line) for line in p.read_text(encoding="utf-8").splitlines()] for p in (one, other)
-    )
-    found.values(where, mine, theirs)
-
-
-def _compare_text(found: Differences, where: str, one: Path, other: Path) -> None:
-    found.text(where, one.read_text(encoding="utf-8"), other.read_text(encoding="utf-8"))
-
-
-COMPARED: Final[dict[str, Callable[[Differences, str, Path, Path], None]]] = {
-    ".json": _compare_json, ".html": _compare_page, ".xml": _compare_xml, ".csv": _compare_table,
-    ".jsonl": _compare_events, ".status": _compare_text, ".h": _compare_text,
-}  # fmt: skip
-"""How files are compared, by suffix. Others (PDF, logs, what is printed) are held to be there alone."""
+COMPARED: Final = (".json", ".html", ".xml", ".csv", ".jsonl", ".status", ".h")
+"""Suffixes of files that are compared. Others (PDF, logs, what is printed) are held to be there alone."""
 
 
 def compare(one: Path, other: Path) -> Differences:
@@ -236,8 +228,8 @@ def compare(one: Path, other: Path) -> Differences:
     )
     found.different += [f"{path}: in one store alone" for path in sorted(mine ^ theirs)]
     for path in sorted(mine & theirs):
-        if how := COMPARED.get(path.suffix):
-            how(found, str(path), one / path, other / path)
+        if path.suffix in COMPARED:
+            _compare_files(found, str(path), one / path, other / path)
             found.files += 1
     if not found.files:
         found.different.append(f"{one} and {other} have no file that could be compared")
@@ -293,33 +285,24 @@ def compare_schemas(older: Path) -> list[str]:
 
 def main() -> None:
     """Store or compare."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    does = parser.add_subparsers(dest="does", required=True)
-    storing = does.add_parser("store")
-    storing.add_argument("folder", type=Path)
-    storing.add_argument("--program", default="bench")
-    storing.add_argument("--seeds", type=int, default=50)
-    comparing = does.add_parser("compare")
-    comparing.add_argument("one", type=Path)
-    comparing.add_argument("other", type=Path)
-    does.add_parser("schemas").add_argument("folder", type=Path)
-    given = parser.parse_args()
+    given = arguments(
+        __doc__, does={"positional": True, "choices": ("store", "compare", "schemas")},
+        folders={"positional": True, "nargs": "+", "type": Path, "help": "one, to compare two"},
+        program="bench", seeds=50,
+    )  # fmt: skip
+    if len(given.folders) != (2 if given.does == "compare" else 1):
+        refuse(f"{given.does} takes {'two folders' if given.does == 'compare' else 'one folder'}")
     if given.does == "store":
-        store(given.folder, given.program, given.seeds)
+        store(given.folders[0], given.program, given.seeds)
         return
     if given.does == "schemas":
-        lacking = compare_schemas(given.folder)
-        sys.exit(amiss(lacking, "lacks    "))
-    found = compare(given.one, given.other)
-    for line in found.reworded:
-        print(f"reworded  {line}")
-    for line in found.different:
-        print(f"different {line}")
+        sys.exit(amiss(compare_schemas(given.folders[0]), "lacks    "))
+    found = compare(*given.folders)
+    amiss(found.reworded, "reworded ")
+    status = amiss(found.different, "different")
     told = f"{len(found.different)} differences, {len(found.reworded)} reworded texts"
     print(f"{told}, {found.files} files compared")
-    sys.exit(1 if found.different else 0)
+    sys.exit(status)
 
 
 if __name__ == "__main__":

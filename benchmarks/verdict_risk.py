@@ -30,27 +30,19 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bench.base.arrays import Floats, Mask
 from bench.calibration import calibrate, verify
 from bench.calibration.conformity import SIMPLE, Population
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings
 from bench.results.verification import verdict_part
-from benchmarks.blind_trial.stand import ARCSEC, specific_force
+from benchmarks.blind_trial.stand import specific_force
 from benchmarks.campaign import amiss, arguments
+from tests.support.paper_bench import SETTING_U_RAD, STAND_U, U0, K
 
-Floats = NDArray[np.float64]
-
-K: Final = np.array(
-    [[-2.177087, -0.018243, 0.025027], [0.026542, -2.139892, 0.032755], [0.006754, 0.006026, -2.144367]]
-)
-U0: Final = np.array([0.071469, -0.196485, -0.411789])
-STAND_U: Final = {
-    "axis_tilt": 5 / 3 * ARCSEC, "zero_offset": 5 / 3 * ARCSEC, "mounting_error": 30 * ARCSEC,
-    "setting_error": 10 / 3 * ARCSEC, "voltmeter_error": 1e-4,
-}  # fmt: skip
+SIZES: Final = {**STAND_U, "setting_error": SETTING_U_RAD, "voltmeter_error": 1e-4}
 LIMIT_G: Final = 3e-4
 MODEL: Final = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 TURN: Final = np.radians(np.arange(9) * 45.0)
@@ -70,17 +62,17 @@ class Decided:
     """Decisions of one run: what was stated as the probability that it is wrong, and whether it was."""
 
     stated: Floats
-    wrong: NDArray[np.bool_]
+    wrong: Mask
 
 
 def simulate(rng: np.random.Generator, noise: float, errors: Floats) -> Readings:
     """Return the readings of a run with true errors (passes, 4) of the modulus at its verification points, g."""
     rows, force = [], []
-    tilt, offset = (rng.normal(0, STAND_U[name]) for name in ("axis_tilt", "zero_offset"))
+    tilt, offset = (rng.normal(0, SIZES[name]) for name in ("axis_tilt", "zero_offset"))
     for label in ("1", "2"):
-        mounting = rng.normal(0, STAND_U["mounting_error"])
+        mounting = rng.normal(0, SIZES["mounting_error"])
         for number in (1, 2, 3):
-            settings = TURN + offset + rng.normal(0, STAND_U["setting_error"], 9)
+            settings = TURN + offset + rng.normal(0, SIZES["setting_error"], 9)
             force.append(specific_force(np.array([label] * 9), settings, tilt, mounting))
             rows += [(label, number, point + 1, TURN[point]) for point in range(9)]
     for number in range(len(errors)):
@@ -98,7 +90,7 @@ def run(seed: int, number: int, noise: float, joint: int) -> tuple[Decided, Deci
     rng = np.random.default_rng([seed, number])
     errors = rng.uniform(-LIMIT_G - BEYOND_G, LIMIT_G + BEYOND_G, (CHECKS, 4))
     readings, errors = simulate(rng, noise, errors), errors.ravel()
-    found = calibrate(readings, MODEL, STAND_U, 9.81)
+    found = calibrate(readings, MODEL, SIZES, 9.81)
     told = found.block, found.covariance, found.noise.widened().reading, LIMIT_G, 1.0, SIMPLE
     points = verdict_part(verify(readings, *told)).to_dict()["points"]
     bad = np.abs(errors) > LIMIT_G
@@ -145,7 +137,7 @@ def of_population(seed: int, number: int, noise: float, *, alike: bool) -> tuple
     errors = rng.normal(POPULATION.mean, POPULATION.standard_deviation, (1, 1 if alike else 4))
     errors = np.broadcast_to(errors, (1, 4))
     readings = simulate(rng, noise, errors)
-    found = calibrate(readings, MODEL, STAND_U, 9.81)
+    found = calibrate(readings, MODEL, SIZES, 9.81)
     noise_u = found.noise.widened().reading
     decided = verify(readings, found.block, found.covariance, noise_u, LIMIT_G, population=POPULATION)
     verdict = verdict_part(decided).to_dict()
@@ -154,7 +146,7 @@ def of_population(seed: int, number: int, noise: float, *, alike: bool) -> tuple
     return verdict["p_false_accept" if accepted else "p_false_reject"], bad is accepted
 
 
-def within_chance(stated: Floats, wrong: NDArray[np.bool_]) -> list[str]:
+def within_chance(stated: Floats, wrong: Mask) -> list[str]:
     """Print stated and counted risks in the declared bins; return those that chance does not explain (Holm)."""
     rows = []
     print(f"{'stated risk':>14}{'decisions':>11}{'stated':>9}{'wrong':>9}{'p':>9}")
