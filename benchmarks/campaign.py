@@ -19,7 +19,7 @@ import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 from typing import Any, Final, NamedTuple, NoReturn, TextIO, TypeVar
@@ -154,8 +154,13 @@ class Said(NamedTuple):
 
     status: int
     out: str
-    err: str
-    seconds: float
+    err: str = ""
+    seconds: float = 0.0
+
+    @property
+    def text(self) -> str:
+        """All that it printed."""
+        return self.out + self.err
 
 
 def command(*words: object, stdin: str | TextIO = "") -> Said:
@@ -336,6 +341,26 @@ def summed(name: str) -> Callable[[Sequence[Any]], int]:
         return sum(len(value) if isinstance(value, list) else value for value in values)
 
     return count
+
+
+@dataclass
+class Tried:
+    """What became of a run with a trouble in it: whether it ended, was resumed, and what of it is wrong."""
+
+    trial: Any
+    completed: bool = False
+    resumed: bool = False
+    time_s: float = 0.0
+    wrong_values: int = 0
+    said: str = ""
+    violations: list[str] = field(default_factory=list)
+
+    def judge_stop(self, status: Any) -> None:
+        """A run that stopped says why in lines of its own, with no traceback."""
+        if status != 2:
+            self.violations.append(f"exit status {status}: {self.said.strip()}")
+        if "Traceback" in self.said or "unexpected" in self.said:
+            self.violations.append(f"not one of our errors: {self.said.strip()}")
 
 
 def amiss(found: Sequence[str], word: str = "VIOLATION", most: int | None = None) -> int:

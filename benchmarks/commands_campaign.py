@@ -52,7 +52,7 @@ from bench.run.person import OpenPrompt
 from bench.run.record import Record
 from bench.services.execution import taken_up
 from benchmarks.answering_campaign import answer_to
-from benchmarks.campaign import EMPTY_FIGURE, ROOT, amiss, arguments, command
+from benchmarks.campaign import EMPTY_FIGURE, ROOT, Said, amiss, arguments, command
 from sim.bench import SimulatedBench
 from sim.world.clock import ScaledClock
 from tests.support.panel_client import Browser
@@ -73,14 +73,6 @@ OK: Final = 200
 LOOK_S: Final = 0.01
 MOST_LOOKS: Final = 1000
 _NAMED: Final = re.compile(r"'bench resume (\S+)'")
-
-
-@dataclass
-class Said:
-    """How a command ended, and all that it said."""
-
-    status: int
-    text: str
 
 
 class Process:
@@ -151,12 +143,11 @@ class Desk:
         before = self._lines()
         self._trouble, self._at, self._events, self._asked = trouble, at, 0, OpenPrompt()
         self._away = f"--answers={launching.ANSWERS}" in arguments
-        status, out, err, _ = command(*arguments, stdin=Typist(self))
+        said = command(*arguments, stdin=Typist(self))
         self._trouble = ""
         if trouble in {"kill", "results"}:
             self._killed(before, at, results=trouble == "results")
-        said = Said(status, out + err)
-        self.after = f"{' '.join(map(str, arguments))} [{trouble} {at}]: {status} {said.text[-400:]}"
+        self.after = f"{' '.join(map(str, arguments))} [{trouble} {at}]: {said.status} {said.text[-400:]}"
         return said
 
     def press(self, name: str, button: str, *, trouble: str = "", at: int = 0) -> Said:

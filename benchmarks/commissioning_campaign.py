@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 from unittest import mock
@@ -30,7 +30,7 @@ from bench.base.arrays import ARCSEC
 from bench.config.bench_file.file import load_bench
 from bench.run.commission.course import CABLE
 from bench.services.instruments import PAGE, CommissioningPlan, commission
-from benchmarks.campaign import ROOT, amiss, arguments, by_kind, spread, summed
+from benchmarks.campaign import ROOT, Tried, amiss, arguments, by_kind, spread, summed
 from benchmarks.fault_campaign import exact_bench
 from drivers.interfaces import BenchError
 from sim.bench import SimulatedBench
@@ -78,14 +78,10 @@ class Trial:
 
 
 @dataclass
-class Outcome:
-    """What became of a trial."""
+class Outcome(Tried):
+    """What became of a trial; `traced`: whether a finding names the instrument."""
 
-    trial: Trial
-    status: int = -1
     traced: bool = False
-    time_s: float = 0.0
-    violations: list[str] = field(default_factory=list)
 
 
 Handler = Callable[[bytes, Callable[[], bool]], bytes | None]
@@ -216,7 +212,6 @@ def carry_out(trial: Trial, folder: Path, limit_s: float = LIMIT_S) -> Outcome:
             outcome.violations.append(f"no page: {error}")
             return outcome
     outcome.time_s = time.monotonic() - begun_s
-    outcome.status = result["status"]
     outcome.violations += watch.unsafe() + _judged(trial, result, outcome)
     if not (out / PAGE).is_file():
         outcome.violations.append("no page")

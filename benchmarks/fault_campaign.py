@@ -33,7 +33,7 @@ import bench.run.assembly.served
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.model import Conditions, ForwardModel, stand_errors
 from bench.run.folder import Run
-from benchmarks.campaign import ROOT, amiss, arguments, by_kind, command, spread, summed
+from benchmarks.campaign import ROOT, Tried, amiss, arguments, by_kind, command, spread, summed
 from sim.bench import SimulatedBench
 from sim.wires.faults import OF_INSTRUMENT, Fault, FaultKind, FaultyInstrument
 from sim.wires.session import ServedInstrument, WireFault
@@ -83,17 +83,10 @@ class Trial:
 
 
 @dataclass
-class Outcome:
-    """What became of a trial."""
+class Outcome(Tried):
+    """What became of a trial; `struck` are the faults that did."""
 
-    trial: Trial
     struck: int = 0
-    completed: bool = False
-    resumed: bool = False
-    time_s: float = 0.0
-    wrong_values: int = 0
-    said: str = ""
-    violations: list[str] = field(default_factory=list)
 
 
 # --- the benches ------------------------------------------------------------------------------------
@@ -164,7 +157,7 @@ def _on_bus(meter: Mapping[str, Any]) -> list[str]:
     return [name] if meter["resource"].lower().startswith("prologix") else []
 
 
-def run_arguments(stand: Stand, runs: Path, name: str) -> list[str]:
+def run_arguments(stand: Any, runs: Path, name: str) -> list[str]:
     """Return the command line of a dry run."""
     chosen = ["--bench", str(stand.bench), "--name", name, "--runs", str(runs)]
     return ["run", str(stand.procedure), "--dry-run", *chosen]
@@ -272,11 +265,8 @@ def carry_out(trial: Trial, folder: Path, limit_s: float = LIMIT_S) -> Outcome:
 
 def judge_stop(status: Any, outcome: Outcome) -> None:
     """A run that stopped says why in lines of its own, with the instrument's name, and no traceback."""
+    outcome.judge_stop(status)
     said = outcome.said
-    if status != 2:
-        outcome.violations.append(f"exit status {status}: {said.strip()}")
-    if "Traceback" in said or "unexpected" in said:
-        outcome.violations.append(f"not one of our errors: {said.strip()}")
     struck = {fault.instrument for fault in outcome.trial.faults}
     behind = outcome.trial.stand.behind_adapter if "adapter" in struck else ()
     if not any(f"{name}:" in said for name in (*struck, *behind)):
@@ -424,7 +414,6 @@ def main() -> int:
         __doc__, faults=(1200, "at least so many"), seed=1, workers=(2, "processes"),
         limit=(LIMIT_S, "how long a run may take, s"),
         bench={"nargs": "*", "help": "shipped bench files by name (default: all)"},
-        stops=(False, "also print why runs stopped"),
     )  # fmt: skip
     names = given.bench or sorted(file.stem for file in (ROOT / "config").glob("*.yaml"))
     with tempfile.TemporaryDirectory() as temporary:
@@ -439,10 +428,6 @@ def main() -> int:
         print(f"{stand.name}: exchanges in a run: {dict(stand.exchanges)}")
     print(table(outcomes))
     print(f"{len(outcomes)} runs in {took_s:.0f} s, seed {given.seed}")
-    if given.stops:
-        for outcome in outcomes:
-            if not outcome.completed:
-                print(f"{outcome.trial.kind}: {outcome.said.strip().splitlines()[-1]}")
     return amiss(violations(outcomes))
 
 

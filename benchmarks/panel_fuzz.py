@@ -20,7 +20,7 @@ import tempfile
 import time
 import tracemalloc
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ from bench.panel.shared import LOG
 from bench.run.events import EVENTS
 from bench.run.person import ANSWERS, CONTROL, asked_to_json, problem_with_answer
 from bench.run.record import Record
-from benchmarks.campaign import arguments
+from benchmarks.campaign import amiss, arguments
 from drivers.clock import utc_now
 from drivers.person import Prompt, PromptKind
 
@@ -268,9 +268,6 @@ QUESTION = Prompt(
         "do": "turn", "target_rad": math.radians(120 + 30.25 / 60), "tolerance_rad": 1e-3, "direction": 1,
     },
 )  # fmt: skip
-TOLD = 5
-"""So many of the slowest requests are told."""
-
 Tree = dict[str, tuple[int, int]]
 
 
@@ -278,7 +275,7 @@ Tree = dict[str, tuple[int, int]]
 class Outcome:
     """What became of the requests: `wrong` are sentences, `statuses` counts, `grown` bytes from a quarter on.
 
-    `took` are the requests with the seconds that each took and the CPU time of it, s.
+    `took` are the requests with the CPU time of each, s.
     """
 
     requests: int = 0
@@ -286,15 +283,13 @@ class Outcome:
     entitled: int = 0
     wrong: list[str] = field(default_factory=list)
     grown: int = 0
-    took: list[tuple[float, float, str]] = field(default_factory=list)
+    took: list[tuple[float, str]] = field(default_factory=list)
 
-    def times(self) -> Iterator[str]:
-        """Yield what the requests took: the median, and those that took longest, by the clock and of CPU time."""
-        for name, by_clock in (("of CPU", False), ("by the clock", True)):
-            ranked = sorted(((wall if by_clock else cpu), wall, cpu, sent) for wall, cpu, sent in self.took)
-            yield f"{name}: median {1e3 * ranked[len(ranked) // 2][0]:.1f} ms, longest"
-            for _, wall, cpu, sent in ranked[: -TOLD - 1 : -1]:
-                yield f"  {1e3 * wall:.0f} ms ({1e3 * cpu:.0f} ms of CPU) {sent}"
+    def times(self) -> str:
+        """Return what the requests took of CPU time, s: the median, and the one that took most."""
+        ranked = sorted(self.took)
+        median_s, (most_s, sent) = ranked[len(ranked) // 2][0], ranked[-1]
+        return f"of CPU: median {1e3 * median_s:.1f} ms, most {1e3 * most_s:.0f} ms: {sent}"
 
 
 class Place:
@@ -415,14 +410,13 @@ async def fuzz(place: Place, count: int, seed: int) -> Outcome:
                 quarter = tracemalloc.get_traced_memory()[0]
             request = requests.draw()
             started = popen.call_count
-            begun = time.perf_counter(), time.process_time()
+            begun = time.process_time()
             try:
                 status, body = await send(place.app, request)
             except Exception as error:
                 outcome.wrong.append(f"{request}: {type(error).__name__}: {error}")
                 continue
-            took = time.perf_counter() - begun[0], time.process_time() - begun[1]
-            outcome.took.append((*took, str(request)))
+            outcome.took.append((time.process_time() - begun, str(request)))
             outcome.requests += 1
             outcome.statuses[status] += 1
             outcome.entitled += request.entitled
@@ -510,12 +504,11 @@ def main() -> None:
         wrong = outcome.wrong + asyncio.run(served(place, asked.socket, asked.seed))
     print(f"{outcome.requests} requests, {outcome.entitled} with the right to; {asked.socket} raw ones")
     print("statuses: " + ", ".join(f"{status}: {n}" for status, n in sorted(outcome.statuses.items())))
-    print("\n".join(outcome.times()))
+    print(outcome.times())
     print(f"memory since a quarter of them: {outcome.grown / 1e6:+.2f} MB")
-    for sentence in wrong[:20]:
-        print(f"WRONG {sentence}")
+    status = amiss(wrong, "WRONG", 20)
     print(f"{len(wrong)} answered wrongly")
-    raise SystemExit(1 if wrong else 0)
+    raise SystemExit(status)
 
 
 if __name__ == "__main__":

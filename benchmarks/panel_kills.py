@@ -28,7 +28,7 @@ from bench.run.events import EVENTS
 from bench.run.folder import Run
 from bench.run.person import open_prompt
 from bench.run.record import is_being_written
-from benchmarks.campaign import arguments
+from benchmarks.campaign import amiss, arguments
 
 PATIENCE_S = 120.0
 
@@ -241,10 +241,9 @@ def main() -> None:
         f"{found.kills} kills over {found.runs} runs: {found.answered} answers taken, {found.refused} refused as "
         f"stale, {found.cut} requests cut off"
     )
-    for sentence in found.wrong[:20]:
-        print(f"WRONG {sentence}")
+    status = amiss(found.wrong, "WRONG", 20)
     print(f"{len(found.wrong)} found wrong")
-    raise SystemExit(1 if found.wrong else 0)
+    raise SystemExit(status)
 
 
 if __name__ == "__main__":

@@ -328,9 +328,9 @@ def table(outcomes: Sequence[Outcome]) -> str:
         for value in sorted({getattr(outcome.trial, kind) for outcome in outcomes}):
             those = [outcome for outcome in outcomes if getattr(outcome.trial, kind) == value]
             states = ", ".join(f"{n} {state}" for state, n in Counter(o.state for o in those).most_common())
-            amiss = sum(bool(outcome.violations) for outcome in those)
+            wrong = sum(bool(outcome.violations) for outcome in those)
             longest = max(outcome.ended_s for outcome in those)
-            lines.append(f"{value:>16} {len(those):>5} {longest:>14.1f} s {amiss:>6}  {states}")
+            lines.append(f"{value:>16} {len(those):>5} {longest:>14.1f} s {wrong:>6}  {states}")
     return "\n".join(lines)
 
 

@@ -29,8 +29,8 @@ from unittest import mock
 import bench.cli.measure
 import bench.run.assembly.served
 from bench.run.folder import Run
-from benchmarks.campaign import amiss, arguments, by_kind, command, spread, summed
-from benchmarks.fault_campaign import VALUE_V, exact_bench
+from benchmarks.campaign import Tried, amiss, arguments, by_kind, command, spread, summed
+from benchmarks.fault_campaign import VALUE_V, exact_bench, run_arguments
 from sim.bench import SimulatedBench
 from sim.world.power import Disturbance, Power
 
@@ -104,18 +104,11 @@ class FedTrial:
 
 
 @dataclass
-class FedOutcome:
+class FedOutcome(Tried):
     """What became of a trial; `unseen` says that a rail left its window and came back between two looks."""
 
-    trial: FedTrial
-    completed: bool = False
-    resumed: bool = False
-    readings_before: int = 0
-    wrong_values: int = 0
     outside_limits: int = 0
     unseen: bool = False
-    said: str = ""
-    violations: list[str] = field(default_factory=list)
 
 
 # --- the benches ------------------------------------------------------------------------------------
@@ -158,7 +151,7 @@ def stands(folder: Path, ways: Sequence[Fed] = WAYS) -> list[FedStand]:
         procedure.write_text(PROCEDURE, encoding="utf-8")
         bare = FedStand(fed, bench_file, procedure)
         with watched(None) as watch:
-            status, _, said, _ = command(*_arguments(bare, folder, f"undisturbed-{number}"))
+            status, _, said, _ = command(*run_arguments(bare, folder, f"undisturbed-{number}"))
         if status != 0:
             raise RuntimeError(f"{fed.name}: the undisturbed run ended with {status}: {said}")
         if watch.power.violations:
@@ -172,11 +165,6 @@ def values_of(run: Run) -> dict[Place, tuple[float, ...]]:
     """Return what a run has read by installation, pass and point."""
     taken = run.history.readings.values()
     return {(one.installation, one.pass_number, one.point): one.mean for one in taken}
-
-
-def _arguments(stand: FedStand, runs: Path, name: str) -> list[str]:
-    chosen = ["--bench", str(stand.bench), "--name", name, "--runs", str(runs)]
-    return ["run", str(stand.procedure), "--dry-run", *chosen]
 
 
 class Watch:
@@ -194,6 +182,11 @@ class Watch:
         if self._disturbance is not None:
             self.power.disturb(self._disturbance)
         return made
+
+    @property
+    def now_s(self) -> float:
+        """The time of the world, s."""
+        return self.clock.now_s()
 
 
 @contextlib.contextmanager
@@ -216,10 +209,9 @@ def carry_out(trial: FedTrial, folder: Path) -> FedOutcome:
     outcome = FedOutcome(trial)
     name = f"fed-trial-{trial.name}"
     with watched(trial.disturbance) as watch:
-        status, _, outcome.said, _ = command(*_arguments(trial.stand, folder, name))
+        status, _, outcome.said, _ = command(*run_arguments(trial.stand, folder, name))
     run = Run(folder / name)
     outcome.completed = status == 0
-    outcome.readings_before = len(run.history.readings)
     _judge_world(watch, outcome)
     _judge_readings(run, watch, outcome)
     if status == 0:
@@ -245,7 +237,7 @@ def _judge_world(watch: Watch, outcome: FedOutcome) -> None:
     power, fed = watch.power, outcome.trial.stand.fed
     outcome.outside_limits += len(power.violations)
     outcome.violations += [f"outside of the block's limits: {violation}" for violation in power.violations]
-    on = [output for output in fed.outputs if power.stage(output, watch.clock.now_s()).on]
+    on = [output for output in fed.outputs if power.stage(output, watch.now_s).on]
     if on:
         outcome.violations.append(f"left on: {', '.join(on)}")
 
@@ -302,14 +294,17 @@ def judge_finished(run: Run, outcome: FedOutcome) -> None:
 
 def judge_stop(status: Any, outcome: FedOutcome) -> None:
     """A run that stopped names the supply and the rail or output, in a line of its own, and no traceback."""
+    outcome.judge_stop(status)
     said = outcome.said
-    if status != 2:
-        outcome.violations.append(f"exit status {status}: {said.strip()}")
-    if "Traceback" in said or "unexpected" in said:
-        outcome.violations.append(f"not one of our errors: {said.strip()}")
     named = (
-        "rail p15", "rail n15", "its output", "did not answer", "no answer", "not set any more", "is off",
-    )  # fmt: skip
+        "rail p15",
+        "rail n15",
+        "its output",
+        "did not answer",
+        "no answer",
+        "not set any more",
+        "is off",
+    )
     if "power_supply:" not in said or not any(words in said for words in named):
         outcome.violations.append(f"the cause is not named: {said.strip()}")
 
@@ -406,9 +401,7 @@ def violations(outcomes: Sequence[FedOutcome]) -> list[str]:
 
 
 def main() -> int:
-    given = arguments(
-        __doc__, runs=350, seed=1, workers=(1, "processes"), stops=(False, "also print why runs stopped")
-    )
+    given = arguments(__doc__, runs=350, seed=1, workers=(1, "processes"))
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         trials = draw(given.runs, given.seed, stands(folder))
@@ -418,10 +411,6 @@ def main() -> int:
     print(table(outcomes))
     print(f"{len(outcomes)} runs in {took_s:.0f} s, seed {given.seed}")
     print("unseen: completed, while a rail was gone and back between two looks, with no reading in between")
-    if given.stops:
-        for outcome in outcomes:
-            if not outcome.completed:
-                print(f"{outcome.trial.kind}: {outcome.said.strip().splitlines()[-1]}")
     return amiss(violations(outcomes))
 
 
