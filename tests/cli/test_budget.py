@@ -210,26 +210,18 @@ def check_readings(offset_v=0.0):
     return make_readings(["V"] * 4, [1] * 4, [1, 2, 3, 4], THETA, signal)
 
 
-def test_verify_takes_the_rule(bench):
+def test_verify_prints_the_rule_and_what_it_accepts(bench):
     calibration, check = simulate(np.random.default_rng(2), 1e-4), check_readings(4e-4)
     write_csv(calibration, Path("unit.csv"))
     write_csv(check, Path("check.csv"))
     assert bench("calibrate", "unit.csv", "--json", "unit.json")[0] == 0
-    arguments = ("verify", "check.csv", "--coefficients", "unit.json", "--limit", "2e-4", "--json", "-")
-    status, out, _ = bench(*arguments)
-    told = json.loads(out)
-    assert (status, told["rule"], told["statement"]) == (1, "non-binary", "conditional pass")
-    status, out, _ = bench(*arguments, "--rule", "simple")
-    assert (status, json.loads(out)["rule"]) == (0, "simple acceptance")
-    status, out, _ = bench(*arguments, "--rule", "guarded")
-    told = json.loads(out)
-    assert (status, told["rule"], told["passed"]) == (1, "guarded", False)
+    arguments = ("verify", "check.csv", "--coefficients", "unit.json", "--limit", "2e-4")
     printed(
-        bench(*arguments[:-2], "--rule", "guarded"),
-        "conditional pass",
+        bench(*arguments, "--rule", "guarded"),
         "CONDITIONAL PASS, not accepted: worst",
         "limit 200 µg, rule: guarded (w = U), TUR",
         "accepted up to",
+        "conditional pass",
         status=1,
     )
     refused(bench(*arguments, "--rule", "kind"), "no decision rule 'kind'")

@@ -4,10 +4,10 @@ import json
 import os
 import signal
 import socket
-import subprocess
-import sys
 import threading
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from bench.run.assembly.served import served_bench
 from sim.wires.server import TERMINALS
 from sim.world.clock import ScaledClock
 from tests.support.commands import refused
-from tests.support.patience import PATIENCE_S, wait_for
+from tests.support.patience import PATIENCE_S
 
 
 @contextmanager
@@ -47,35 +47,36 @@ def control(told: Any, line: str) -> dict[str, Any]:
 # --- the program ------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGTERM to end a program with")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_it_serves_until_a_signal_and_ends_with_0(tmp_path: Path, number: int) -> None:
-    ready = tmp_path / "ready.json"
-    program = "import sys; from bench.cli.app import main; main(sys.argv[1:])"
-    command = [sys.executable, "-c", program, "simulate", "--ready-file", str(ready), "--speed", "1000"]
-    process = subprocess.Popen(  # noqa: S603 - our own program
-        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-    )
-    try:
-        wait_for(ready.exists, process)
-        told = json.loads(ready.read_text())
-        names = [instrument["name"] for instrument in told["instruments"]]
-        assert names == ["voltmeter.x", "voltmeter.y", "voltmeter.z"]
-        for instrument in told["instruments"]:
-            assert instrument["model"] == "34401A"
-            assert ask(instrument["tcp"], "*IDN?") == ["HEWLETT-PACKARD,34401A,0,11-5-2"]
-            assert (instrument["pty"] is not None) == TERMINALS
-            assert not TERMINALS or Path(instrument["pty"]).exists()
-        process.send_signal(number)
-        output = process.communicate(timeout=PATIENCE_S)[0].decode()
-        assert process.returncode == 0, output
-        assert all(instrument["tcp"] in output for instrument in told["instruments"])
-        assert told["control"] in output
-        assert list(tmp_path.iterdir()) == []
-    finally:
-        process.kill()
-        process.wait()
+def test_it_serves_until_a_signal_and_ends_with_0(bench: Any, number: int) -> None:
+    ready = Path("ready.json")
+
+    def asked() -> dict[str, Any]:
+        """Ask each meter who it is, then end the program; what was told before."""
+        give_up = time.monotonic() + PATIENCE_S
+        while not ready.exists() and time.monotonic() < give_up:
+            time.sleep(0.01)
+        try:
+            told: dict[str, Any] = json.loads(ready.read_text())
+            for instrument in told["instruments"]:
+                assert instrument["model"] == "34401A"
+                assert ask(instrument["tcp"], "*IDN?") == ["HEWLETT-PACKARD,34401A,0,11-5-2"]
+                assert (instrument["pty"] is not None) == TERMINALS
+                assert not TERMINALS or Path(instrument["pty"]).exists()
+        finally:
+            os.kill(os.getpid(), number)
+        return told
+
+    with ThreadPoolExecutor(1) as pool:
+        answers = pool.submit(asked)
+        status, out, err = bench("simulate", "--ready-file", ready, "--speed", "1000")
+    told = answers.result()
+    assert status == 0, err
+    assert [one["name"] for one in told["instruments"]] == ["voltmeter.x", "voltmeter.y", "voltmeter.z"]
+    assert all(one["tcp"] in out for one in told["instruments"])
+    assert told["control"] in out
+    assert list(Path().iterdir()) == []
 
 
 def test_a_taken_port_is_one_sentence_and_status_2(bench: Any) -> None:
