@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from itertools import pairwise
 
 import pytest
 
-from drivers.facts.acutrol import READ_TERMINATION, WRITE_TERMINATION
+from drivers.facts import acutrol as facts
 from drivers.instruments.acutrol import AcutrolHead
 from drivers.interfaces import (
     DividingHead,
@@ -21,18 +18,11 @@ from drivers.interfaces import (
 from drivers.motion import Travel
 from sim.acutrol import AcutrolTable
 from sim.wires.session import DROP, SILENCE, WireFault
-from sim.world.world import World
+from tests.support.motorised_heads import DEG, opened, travel
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession
-from tests.support.simulated_stand import a_world, served
+from tests.support.simulated_stand import a_world
 
-DEG = math.pi / 180
-TRAVEL = Travel(
-    minimum_rad=-10 * DEG,
-    maximum_rad=370 * DEG,
-    tolerance_rad=0.003 * DEG,
-    speed_rad_s=10 * DEG,
-    settle_s=0.5,
-)
+TRAVEL = travel(0.003 * DEG)
 
 OK = "ACUTROL>OK"
 PROVE: Pairs = [(":read:position 1", "ACUTROL>12.345678")]
@@ -128,27 +118,8 @@ def test_a_tolerance_finer_than_a_demand_is_refused() -> None:
 # --- over a real socket, with the simulated table ----------------------------------------------------
 
 
-@contextmanager
-def stand(
-    world: World,
-    fault: Callable[[bytes, bytes | None], WireFault | None] | None = None,
-    timeout_s: float = 2.0,
-) -> Iterator[AcutrolHead]:
-    with served(
-        AcutrolTable(world),
-        "head",
-        world,
-        read_termination=READ_TERMINATION,
-        write_termination=WRITE_TERMINATION,
-        fault=fault,
-        timeout_s=timeout_s,
-    ) as session:
-        h = head(session, world.clock)
-        h.open()
-        try:
-            yield h
-        finally:
-            h.close()
+def stand(world, fault=None, timeout_s=2.0):
+    return opened(AcutrolTable(world), head, world, facts, fault=fault, timeout_s=timeout_s)
 
 
 def test_entering_the_position_mode_moves_nothing() -> None:

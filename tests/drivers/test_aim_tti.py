@@ -58,22 +58,18 @@ def test_a_trip_that_the_register_tells_once_is_remembered():
     assert session.left == []
 
 
-def test_what_was_not_carried_out_is_told_by_its_registers():
-    supply, _ = made(
-        [
-            *OPENED, *OFF, ("CONFIG?", "2"), ("OVP1 17.0", None), ("I1 0.200", None), ("V1 15.000", None),
-            ("*ESR?", "16"), ("EER?", "100"), *OFF,
-        ]
-    )  # fmt: skip
+@pytest.mark.parametrize(
+    ("exchanges", "told"),
+    [
+        ([*SETTING_UP[: SETTING_UP.index(("*ESR?", "0"))], ("*ESR?", "16"), ("EER?", "100"), *OFF],
+         r"execution error 100 \(out of range\)"),
+        ([*OFF, ("CONFIG?", "0")], "tracking"),
+    ],
+)  # fmt: skip
+def test_what_was_not_carried_out_and_tracking_outputs_are_told(exchanges, told):
+    supply, _ = made([*OPENED, *exchanges])
     supply.open()
-    with pytest.raises(InstrumentRefused, match=r"execution error 100 \(out of range\)"):
-        supply.set_up(WANTED, "1/supply")
-
-
-def test_tracking_outputs_are_refused():
-    supply, _ = made([*OPENED, *OFF, ("CONFIG?", "0")])
-    supply.open()
-    with pytest.raises(InstrumentRefused, match="tracking"):
+    with pytest.raises(InstrumentRefused, match=told):
         supply.set_up(WANTED, "1/supply")
 
 

@@ -55,22 +55,18 @@ def test_it_is_set_up_protections_first_and_switched_on():
     assert session.left == []
 
 
-def test_a_trip_at_switching_on_is_told():
-    supply, _ = made([*OPENED, *SETTING_UP, SET, ("OUTP ON,(@2)", None), TRIPPED])
+@pytest.mark.parametrize(
+    ("after", "told"),
+    [
+        ([TRIPPED], "a protection has switched its output 2 off"),
+        ([(QUESTION, ON[1].replace("0,1,0;", "0,1,1;", 1)), NO_ERROR], "output 3 went on"),
+    ],
+)
+def test_a_trip_at_switching_on_and_an_output_that_goes_with_another_are_told(after, told):
+    supply, _ = made([*OPENED, *SETTING_UP, SET, ("OUTP ON,(@2)", None), *after])
     supply.open()
     supply.set_up(WANTED, "1/supply")
-    with pytest.raises(InstrumentRefused, match="a protection has switched its output 2 off"):
-        supply.switch("2", True, "2/on")
-
-
-def test_an_output_that_goes_with_another_is_told():
-    coupled = (QUESTION, ON[1].replace("0,1,0;", "0,1,1;", 1))
-    supply, _ = made(
-        [*OPENED, *SETTING_UP, SET, ("OUTP ON,(@2)", None), coupled, ("SYST:ERR?", '+0,"No error"')]
-    )
-    supply.open()
-    supply.set_up(WANTED, "1/supply")
-    with pytest.raises(InstrumentRefused, match="output 3 went on"):
+    with pytest.raises(InstrumentRefused, match=told):
         supply.switch("2", True, "2/on")
 
 

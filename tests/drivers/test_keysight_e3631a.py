@@ -67,18 +67,25 @@ def test_over_rs232_it_is_told_to_be_remote_first_and_let_go_at_the_end():
     assert session.left == []
 
 
-def test_what_nobody_named_is_not_switched_on_with_the_rest():
-    left = ('"3.300000,1.000000";+0.00000000E+00;+0.00000000E+00;+0', OFF[1], OFF[2])
-    supply, _ = made([*OPENED, *asked(*left)])
-    supply.open()
-    with pytest.raises(InstrumentRefused, match=r"P6V to 3\.3 V"):
-        supply.set_up({"P25V": OutputSettings(15.0, 0.2)}, "1/supply")
+DEMAND = [("OUTP:TRAC?", "0"), ("APPL P25V,15.0000,0.2000", None)]
+LEFT = ('"3.300000,1.000000";+0.00000000E+00;+0.00000000E+00;+0', OFF[1], OFF[2])
 
 
-def test_the_track_mode_is_refused():
-    supply, _ = made([*OPENED, *asked(*OFF), ("OUTP:TRAC?", "1")])
+@pytest.mark.parametrize(
+    ("exchanges", "told"),
+    [
+        (asked(*LEFT), r"P6V to 3\.3 V"),  # what nobody named is not switched on with the rest
+        ([*asked(*OFF), ("OUTP:TRAC?", "1")], "track"),
+        (
+            [*asked(*OFF), *DEMAND, ("SYST:ERR?", '-222,"Data out of range"'), NO_ERROR, *asked(*OFF)],
+            r"-222.*the voltage is 0 V, not 15 V.*current limit is 5 A",
+        ),
+    ],
+)
+def test_what_keeps_it_from_being_set_up_is_told(exchanges, told):
+    supply, _ = made([*OPENED, *exchanges])
     supply.open()
-    with pytest.raises(InstrumentRefused, match="track"):
+    with pytest.raises(InstrumentRefused, match=told):
         supply.set_up({"P25V": OutputSettings(15.0, 0.2)}, "1/supply")
 
 
@@ -88,20 +95,3 @@ def test_failed_hardware_is_told():
     supply.open()
     with pytest.raises(InstrumentRefused, match="failed"):
         supply.state("1")
-
-
-def test_errors_of_its_queue_are_told_with_the_settings():
-    supply, _ = made(
-        [
-            *OPENED,
-            *asked(*OFF),
-            ("OUTP:TRAC?", "0"),
-            ("APPL P25V,15.0000,0.2000", None),
-            ("SYST:ERR?", '-222,"Data out of range"'),
-            NO_ERROR,
-            *asked(*OFF),
-        ]
-    )
-    supply.open()
-    with pytest.raises(InstrumentRefused, match=r"-222.*the voltage is 0 V, not 15 V.*current limit is 5 A"):
-        supply.set_up({"P25V": OutputSettings(15.0, 0.2)}, "1/supply")

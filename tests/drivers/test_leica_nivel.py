@@ -76,16 +76,16 @@ def test_axes_may_lie_the_other_way():
         LeicaNivel("level", ScriptedSession([]), None, along="+X", across="-X")
 
 
-def test_out_of_range_is_no_inclination():
-    level, _ = opened((sent("R N"), answered("008")), (sent("G P"), answered("F")))
-    with pytest.raises(BadReading, match="out of its range"):
-        level.inclination("1/level", turned=False)
-
-
-def test_a_wrong_check_sum_is_no_reading():
-    wrong = (sent("R N"), answered("008", (1, 172)))
-    level, _ = opened(wrong, wrong, wrong)
-    with pytest.raises(BadReading, match="check sum"):
+@pytest.mark.parametrize(
+    ("exchanges", "told"),
+    [
+        ([(sent("R N"), answered("008")), (sent("G P"), answered("F"))], "out of its range"),
+        ([(sent("R N"), answered("008", (1, 172)))] * 3, "check sum"),
+    ],
+)
+def test_out_of_range_or_with_a_wrong_check_sum_it_is_no_inclination(exchanges, told):
+    level, _ = opened(*exchanges)
+    with pytest.raises(BadReading, match=told):
         level.inclination("1/level", turned=False)
 
 

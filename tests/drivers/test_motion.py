@@ -11,16 +11,10 @@ import pytest
 from bench.base.arrays import ARCSEC
 from drivers.interfaces import HeadPosition, InstrumentRefused, LimitExceeded, WentAstray
 from drivers.motion import Mover, Travel, TravelWatch
+from tests.support.motorised_heads import DEG, travel
 from tests.support.scripted_session import Clock
 
-DEG = math.pi / 180
-TRAVEL = Travel(
-    minimum_rad=-10 * DEG,
-    maximum_rad=370 * DEG,
-    tolerance_rad=10 * ARCSEC,
-    speed_rad_s=10 * DEG,
-    settle_s=2.0,
-)
+TRAVEL = travel(10 * ARCSEC, settle_s=2.0)
 
 
 class FakeAxis:
@@ -209,14 +203,14 @@ def test_a_travel_that_cannot_be_is_refused(changes: dict[str, float], words: st
 POLL_S = 0.25
 
 
-def travel(speed_deg_s: float = 10.0) -> Travel:
+def watched_travel(speed_deg_s: float) -> Travel:
     return Travel(math.radians(-5.0), math.radians(365.0), 5 * ARCSEC, math.radians(speed_deg_s))
 
 
 def watched(angles_deg: list[float], target_deg: float, speed_deg_s: float = 10.0) -> int:
     """Feed a watch; return how many samples it took without complaint."""
     watch = TravelWatch(
-        "head", travel(speed_deg_s), math.radians(angles_deg[0]), math.radians(target_deg), 0.0
+        "head", watched_travel(speed_deg_s), math.radians(angles_deg[0]), math.radians(target_deg), 0.0
     )
     for number, angle_deg in enumerate(angles_deg[1:], start=1):
         watch.take(math.radians(angle_deg), number * POLL_S)

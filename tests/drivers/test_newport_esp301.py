@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
-from contextlib import contextmanager
+from functools import partial
 
 import pytest
 
-from drivers.facts.newport_esp301 import READ_TERMINATION, WRITE_TERMINATION
+from drivers.facts import newport_esp301 as facts
 from drivers.instruments.newport_esp301 import NewportHead
 from drivers.interfaces import BadReading, HeadPosition, Identity, InstrumentLost, InstrumentRefused
-from drivers.motion import Travel
 from sim.newport_esp301 import Esp301
-from sim.wires.session import SILENCE, FaultHook, WireFault
-from sim.world.world import World
+from sim.wires.session import SILENCE, WireFault
+from tests.support.motorised_heads import DEG, opened, travel
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession, swapped, until
-from tests.support.simulated_stand import a_world, served
+from tests.support.simulated_stand import a_world
 
-DEG = math.pi / 180
-TRAVEL = Travel(
-    minimum_rad=-10 * DEG,
-    maximum_rad=370 * DEG,
-    tolerance_rad=0.0015 * DEG,
-    speed_rad_s=10 * DEG,
-    settle_s=0.5,
-)
+TRAVEL = travel(0.0015 * DEG)
 
 FINE = "0, 451322, NO ERROR DETECTED"
 OFF = "113, 314883, AXIS-1 MOTOR NOT ENABLED"
@@ -151,25 +141,8 @@ def test_half_an_angle_is_none(reply: str) -> None:
 # --- with the simulated controller ------------------------------------------------------------------
 
 
-@contextmanager
-def stand(
-    world: World, dialect: Esp301, fault: FaultHook | None = None, **options: object
-) -> Iterator[NewportHead]:
-    with served(
-        dialect,
-        "head",
-        world,
-        read_termination=READ_TERMINATION,
-        write_termination=WRITE_TERMINATION,
-        fault=fault,
-        timeout_s=0.2,
-    ) as session:
-        h = head(session, world.clock, **options)
-        h.open()
-        try:
-            yield h
-        finally:
-            h.close()
+def stand(world, dialect, fault=None, **options):
+    return opened(dialect, partial(head, **options), world, facts, fault=fault, timeout_s=0.2)
 
 
 def test_homing_finds_the_zero_only_where_it_is_allowed() -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import contextmanager
+from functools import partial
 
 import pytest
 
+from bench.base.arrays import ARCSEC
+from drivers.facts import zaber as facts
 from drivers.facts.zaber import checksum
 from drivers.instruments.zaber import ZaberHead
 from drivers.interfaces import (
@@ -18,12 +21,13 @@ from drivers.interfaces import (
     InstrumentRefused,
 )
 from sim.wires.session import DROP, WireFault
-from sim.world.world import World
 from sim.zaber import ZaberStage
+from tests.support.motorised_heads import DEG, opened, travel
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession, swapped, until
-from tests.support.simulated_stand import a_world, served
-from tests.support.zaber_head import DEG, STEPS, head
+from tests.support.simulated_stand import a_world
 
+STEPS = 12800 / 3
+"""Microsteps per degree of a stage with 0.9 arcsec steps."""
 OPEN: Pairs = [
     ("/1 0 01 set comm.alert 0", "@01 0 01 OK IDLE -- 0"),
     ("/1 0 02 get deviceid", "@01 0 02 OK IDLE -- 20031"),
@@ -50,6 +54,11 @@ MOVE: Pairs = [
     ("/1 1 19", "@01 1 19 OK IDLE -- 0"),
     ("/1 1 20 get pos", "@01 1 20 OK IDLE -- 384003"),
 ]
+
+
+def head(session: object, clock: object | None = None, **options: object) -> ZaberHead:
+    options = {"steps_per_degree": STEPS} | options
+    return ZaberHead("head", session, clock or Clock(), travel(10 * ARCSEC), **options)  # type: ignore[arg-type]
 
 
 def renumbered(pairs: Pairs, shift: int) -> Pairs:
@@ -180,21 +189,10 @@ def test_steps_that_cannot_express_the_angles_are_refused(steps: float, words: s
 
 
 @contextmanager
-def stand(
-    world: World,
-    stage: ZaberStage | None = None,
-    fault: Callable[[bytes, bytes | None], WireFault | None] | None = None,
-    log: list[tuple[str, str]] | None = None,
-    **options: object,
-) -> Iterator[tuple[ZaberHead, ZaberStage]]:
+def stand(world, stage=None, fault=None, **options):
     stage = stage or ZaberStage(world, steps_per_degree=STEPS)
-    with served(stage, "head", world, read_termination="\r\n", fault=fault, log=log) as session:
-        h = head(session, world.clock, **options)
-        h.open()
-        try:
-            yield h, stage
-        finally:
-            h.close()
+    with opened(stage, partial(head, **options), world, facts, fault=fault) as h:
+        yield h, stage
 
 
 def test_lines_that_come_between_are_no_replies() -> None:

@@ -141,12 +141,6 @@ def test_an_open_input_reads_zero(meter: Keysight34970A) -> None:
     assert volts(meter, "MEAS:VOLT:DC? 10,(@104)") == [0.0]
 
 
-def test_read_does_not_store(meter: Keysight34970A) -> None:
-    tell(meter, f"CONF:VOLT:DC 10,{XYZ}")
-    assert len(volts(meter, "READ?")) == 3
-    assert tell(meter, "FETC?") is None
-
-
 def test_readings_carry_what_the_format_asks_for(meter: Keysight34970A) -> None:
     tell(meter, "CONF:VOLT:DC 10,(@103);:FORM:READ:UNIT ON;TIME ON;CHAN ON;ALAR ON")
     assert ask(meter, "READ?") == "+3.00001600E+00 VDC,000000000.016,103,0"
@@ -215,14 +209,6 @@ def test_gain_and_offset_are_the_meters_and_noise_is_each_readings(clock: Virtua
 def test_identities(clock: VirtualClock) -> None:
     assert ask(a_meter(clock), "*IDN?") == "HEWLETT-PACKARD,34970A,0,13-2-2"
     assert ask(a_meter(clock, model="34972A"), "*IDN?").startswith("Agilent Technologies,34972A,MY")
-
-
-def test_rs232_wants_remote_first(clock: VirtualClock) -> None:
-    meter = a_meter(clock, interface="rs232")
-    assert tell(meter, "READ?") is None
-    assert ask(meter, "SYST:ERR?") == '+550,"Command not allowed in local"'
-    tell(meter, f"SYST:REM;:CONF:VOLT:DC 10,{XYZ}")
-    assert len(volts(meter, "READ?")) == 3
 
 
 # --- the driver over a socket -----------------------------------------------------------------------

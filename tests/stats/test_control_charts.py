@@ -20,7 +20,6 @@ from bench.stats.control_charts import (
     mewma_limit,
     shewhart_arl,
     shewhart_k,
-    short_term,
     without_one,
 )
 
@@ -170,14 +169,6 @@ def test_the_ewma_shows_the_shift_that_single_values_hardly_show():
     ewma, shewhart = np.abs(found.z[:, 0]) > 3.0, np.abs(judged().z[:, 0]) > 3.0
     assert np.mean(ewma[-60:]) > 0.5
     assert np.mean(shewhart[-60:]) < 0.05
-
-
-def test_the_precision_is_judged_by_f():
-    dof = np.full(len(SD), 3.0)
-    found = short_term(SD[~BASELINE], dof[~BASELINE], SD[BASELINE], dof[BASELINE])
-    pooled = np.sqrt(np.mean(SD[BASELINE] ** 2))
-    assert found.pooled == pytest.approx(pooled)
-    assert found.p == pytest.approx(stats.f.sf(SD[~BASELINE] ** 2 / pooled**2, 3, 3 * 99))
 
 
 SHIFTS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)

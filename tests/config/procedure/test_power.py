@@ -13,6 +13,7 @@ from bench.config.procedure.plan import Mount, Plan, Power, Read, Turn
 from bench.config.shipped import find_bench, find_procedure
 from bench.results.check import listing
 from tests.support.fed_bench import fed_bench
+from tests.support.procedure_texts import load_steps
 
 CYCLES = """\
   - power: on
@@ -29,9 +30,7 @@ CYCLES = """\
 
 
 def plan_of(folder: Path, steps: str) -> Plan:
-    path = folder / "procedure.yaml"
-    path.write_text(f"procedure: p\nsteps:\n{steps}", encoding="utf-8")
-    return load_procedure(path).expand()
+    return load_steps(folder, steps, "procedure: p\nsteps:\n").expand()
 
 
 def test_switching_is_a_step_of_the_plan(tmp_path):

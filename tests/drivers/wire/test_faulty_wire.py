@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import random
 import re
 from collections.abc import Callable
@@ -16,24 +15,17 @@ from drivers.instruments.thermotron import ThermotronChamber
 from drivers.instruments.watlow_f4t import WatlowF4TChamber
 from drivers.instruments.zaber import ZaberHead
 from drivers.interfaces import BenchError, DividingHead, ThermalChamber
-from drivers.motion import Travel
 from drivers.wire.visa import MessageSession
 from sim.acutrol import AcutrolTable
 from sim.chambers import EspecP300, Thermotron8800, WatlowF4T
 from sim.wires.session import DROP, SILENCE, Dialect, FaultHook, WireFault
 from sim.world.world import World
 from sim.zaber import ZaberStage
+from tests.support.motorised_heads import DEG, travel
 from tests.support.simulated_stand import a_world, served
 
-DEG = math.pi / 180
 STEPS = 10000.0
-TRAVEL = Travel(
-    minimum_rad=-10 * DEG,
-    maximum_rad=370 * DEG,
-    tolerance_rad=0.002 * DEG,
-    speed_rad_s=20 * DEG,
-    settle_s=0.5,
-)
+TRAVEL = travel(0.002 * DEG, 20 * DEG)
 LIMITS = ChamberLimits(-40.0, 85.0)
 SEED = 20261121
 
