@@ -84,6 +84,7 @@ def test_its_declaration_holds(device, tmp_path):
         load_bench(path)
 
 
+@pytest.mark.slow
 @every
 def test_a_bench_with_it_is_checked_and_runs_dry(bench, tmp_path, device):
     path = written_bench(device, tmp_path)
