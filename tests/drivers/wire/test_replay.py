@@ -39,6 +39,7 @@ from drivers.wire.visa import MessageSession
 from sim.agilent_34401a import Agilent34401A as SimulatedMeter
 from sim.world.world import Terminals
 from tests.drivers.wire.test_faulty_wire import CHAMBERS, DEG, HEADS, at_random, dialect
+from tests.support.patience import PATIENCE_S
 from tests.support.scripted_session import ScriptedSession
 from tests.support.simulated_stand import a_world, served
 
@@ -242,7 +243,12 @@ USES: dict[str, Callable[[MessageSession, Stand], list[object]]] = {
 }
 
 
-def record(kind: str, file: Path, fault_probability: float = 0.0) -> list[object]:
+def patience_s(fault_probability: float) -> float:
+    """How long a reply is waited for, in real time: where none is lost, as long as a busy machine may need."""
+    return 0.05 if fault_probability else PATIENCE_S
+
+
+def record(kind: str, file: Path, fault_probability: float) -> list[object]:
     """Use a simulated instrument, keep the log of it in bench time; return what came of it."""
     world = a_world()
     world.mount("1")
@@ -251,7 +257,8 @@ def record(kind: str, file: Path, fault_probability: float = 0.0) -> list[object
     )
     log = WireLog(file, lambda: START + timedelta(seconds=world.clock.now_s()))
     spoil = at_random(fault_probability, random.Random(SEED), [])  # noqa: S311
-    with served(simulated, "instrument", world, fault=spoil, timeout_s=0.05, wire=log) as session:
+    timeout_s = patience_s(fault_probability)
+    with served(simulated, "instrument", world, fault=spoil, timeout_s=timeout_s, wire=log) as session:
         return USES[kind](session, Stand(world.clock))
 
 
@@ -271,7 +278,8 @@ def test_a_session_gives_the_same_again_faults_and_all(
     outcomes = record(kind, file, fault_probability)
     assert any(" ! " in body for body in said(file)) == (fault_probability > 0.0)
     assert len(outcomes) > 5
-    with replayed(file, "instrument", timeout_s=0.05, wire=WireLog(again)) as (session, clock):
+    timeout_s = patience_s(fault_probability)
+    with replayed(file, "instrument", timeout_s=timeout_s, wire=WireLog(again)) as (session, clock):
         assert USES[kind](session, Stand(clock)) == outcomes
         assert clock.left == deque()
     assert said(again) == said(file)
