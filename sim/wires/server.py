@@ -143,10 +143,11 @@ class TcpServer(InstrumentServer):
         listener = socket.create_server((self.host, self.port), backlog=_BACKLOG)
         self.port = listener.getsockname()[1]
         self._listener = listener
-        self._accepting = threading.Thread(
+        accepting = threading.Thread(
             target=self._accept, args=(listener,), name=f"accept {self.port}", daemon=True
         )
-        self._accepting.start()
+        accepting.start()
+        self._accepting = accepting  # only now: another thread that refuses meanwhile joins it
 
     def stop(self) -> None:
         """Stop listening, close all connections, and wait for their threads."""
