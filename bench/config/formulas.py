@@ -26,7 +26,8 @@ from bench.model.effects.formula import (
 )
 
 _OF_VARIABLE: Final[Mapping[str, str]] = {
-    "time": "s", "temperature": "K", "U": "V", "Ux": "V", "Uy": "V", "Uz": "V",
+    "time": "s", "since_start": "s", "since_mounting": "s", "since_power_on": "s",
+    "temperature": "K", "U": "V", "Ux": "V", "Uy": "V", "Uz": "V",
 }  # fmt: skip
 """Units of the variables that are no plain numbers."""
 
@@ -53,9 +54,9 @@ class _DimensionReading:
     def __init__(self, known: Known) -> None:
         self._known = known
 
-    def number(self, value: float) -> tuple[float | None, Dimension]:
-        """Return a plain number."""
-        return value, ()
+    def number(self, value: float, unit: str) -> tuple[float | None, Dimension]:
+        """Return a number as written."""
+        return (None if unit else value), unit_of(unit)[1]
 
     def name(self, name: str) -> tuple[float | None, Dimension]:
         """Return the dimension of a name."""
@@ -74,7 +75,9 @@ class _DimensionReading:
         if symbol == "**":
             return None, self._power(of_left, right)
         if of_left != of_right and not (left[0] == 0.0 or right[0] == 0.0):
-            raise ExpressionError(f"{_told(of_left)} and {_told(of_right)} stand on two sides of '{symbol}'")
+            raise ExpressionError(
+                f"{_told(of_left)} and {_told(of_right)} stand on two sides of '{symbol}'{_how(left, right)}"
+            )
         if symbol in {"+", "-"}:
             return None, of_left or of_right
         return None, ()
@@ -109,6 +112,14 @@ class _DimensionReading:
         if of_first:
             raise ExpressionError(f"{name} takes a plain number or an angle, and is given {_told(of_first)}")
         return None, ()
+
+
+def _how(left: tuple[float | None, Dimension], right: tuple[float | None, Dimension]) -> str:
+    """Return how a number that should have the unit of the other side is written, where there is one."""
+    for (number, own), (_, other) in ((left, right), (right, left)):
+        if number is not None and not own and [power for _, power in other] == [1.0]:
+            return f"; write the number with its unit, such as '{abs(number):g} {_told(other)}'"
+    return ""
 
 
 def _product(left: Dimension, right: Dimension, power: float) -> Dimension:

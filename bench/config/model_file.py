@@ -27,7 +27,7 @@ from bench.base.yaml_files import (
 from bench.config.formulas import FormulaEntry, effects_as_written, formula_mistakes, written_formulas
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter
 from bench.model.effects.base import PART, PASS, InPart, in_part, pass_label
-from bench.model.effects.formula import FormulaEffect
+from bench.model.effects.formula import QUANTITY, FormulaEffect
 from drivers.interfaces import Channel
 
 FORMAT: Final = "1"
@@ -472,7 +472,8 @@ def _new_names(formula: FormulaEffect, taken: dict[str, Parameter], number: int)
 
 
 def _with_names(expression: str, names: dict[str, str]) -> str:
-    return re.sub(r"[A-Za-z_]\w*", lambda word: names.get(word[0], word[0]), expression)
+    words = re.compile(rf"(?P<quantity>{QUANTITY.pattern})|[A-Za-z_]\w*")
+    return words.sub(lambda word: word[0] if word["quantity"] else names.get(word[0], word[0]), expression)
 
 
 def _widened(parameter: Parameter, largest: float) -> Parameter:

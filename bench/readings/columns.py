@@ -151,7 +151,7 @@ def _quoted(cell: str) -> str:
     return repr(shortened(cell))
 
 
-# --- optional columns: the level, the rails of the supply -------------------------------------------
+# --- optional columns: the level, the supply and its rails ------------------------------------------
 
 ANGLES: Final = ("alpha1_arcsec", "alpha2_arcsec", "u_alpha1_arcsec", "u_alpha2_arcsec")
 """The columns of a levelling: the platform's angles while the block is mounted, and their u."""
@@ -248,6 +248,32 @@ def above_nominal_v(extra: Mapping[str, Labels]) -> Floats | None:
         for rail in rails
     ]
     return np.stack(columns, axis=1)
+
+
+SINCE_POWER_ON_S: Final = "since_power_on_s"
+"""The column of the time since the block was switched on, s."""
+
+
+def since_power_on_s(extra: Mapping[str, Labels]) -> Floats | None:
+    """Return the time since the block was switched on, s, shape (n,), NaN where not given; None for no column."""
+    return _numbers(extra[SINCE_POWER_ON_S]) if SINCE_POWER_ON_S in extra else None
+
+
+def since_power_on_cells(read_s: Sequence[float | None], power: Sequence[tuple[float, str]]) -> list[str]:
+    """Return the cells of that column for readings at these times, s, empty where it is not known.
+
+    `power` are the states of the supply in a record with their times, s: "on", "found on", "off", "fault". A block
+    that was found on has been on since the last "on", or for a time that nobody knows.
+    """
+    cells = []
+    for time_s in read_s:
+        since_s = None
+        for at_s, state in power:
+            if time_s is None or at_s > time_s:
+                break
+            since_s = {"on": at_s, "found on": since_s}.get(state)
+        cells.append("" if time_s is None or since_s is None else f"{time_s - since_s:.3f}")
+    return cells
 
 
 def _numbers(cells: Labels) -> Floats:

@@ -17,6 +17,7 @@ from bench.base.files import read_given
 from bench.base.text import repeated, shortened
 from bench.readings.columns import (
     LEVEL_COLUMNS,
+    SINCE_POWER_ON_S,
     BadCell,
     angle,
     as_cell,
@@ -50,7 +51,15 @@ if TYPE_CHECKING:
 LISTED_AT_ONCE: Final = 20
 REQUIRED: Final = ("installation", "pass", "point", "angle_deg")
 OPTIONAL: Final = ("series", "target_deg", "direction", "time_s", "temperature_c", "samples")
-AS_TEXT: Final = ("range_v", SCAN_ORDER, REFERENCE_V, TEMPERATURE_SOURCE, CHAMBER_C, *LEVEL_COLUMNS)
+AS_TEXT: Final = (
+    "range_v",
+    SCAN_ORDER,
+    REFERENCE_V,
+    TEMPERATURE_SOURCE,
+    CHAMBER_C,
+    SINCE_POWER_ON_S,
+    *LEVEL_COLUMNS,
+)
 """Documented columns that stay text."""
 
 
@@ -260,6 +269,7 @@ def _row(
     if wrong := wrong_level_cell(text):
         raise BadCell(*wrong)
     temperature(text, CHAMBER_C)
+    number(text, SINCE_POWER_ON_S, "a time in seconds, 0 or more", optional=True, least=0.0)
     number(text, REFERENCE_V, "the voltage at the inputs in V", optional=True)
     for name in filter(is_of_a_rail, header):
         number(text, name, "a voltage or a current of a rail in V or A", optional=True)

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.readings.columns import Rail, columns_of
+from bench.readings.columns import SINCE_POWER_ON_S, Rail, columns_of, since_power_on_cells
 from bench.readings.table import (
     CHAMBER_C,
     REFERENCE_V,
@@ -161,10 +161,11 @@ _RECORDED: Final = tuple((of.name, _KEYS.get(of.name, of.name)) for of in fields
 _NUMBERS: Final = frozenset({int, float})
 
 
-def readings_of(taken: Sequence[Reading], source: str) -> Readings:
+def readings_of(taken: Sequence[Reading], source: str, power: Sequence[tuple[float, str]] = ()) -> Readings:
     """Make the table of readings. Scan order and reference are among its extra columns where any has them.
 
-    So are voltage and current of each rail.
+    So are voltage and current of each rail, and the time since the block was switched on; `power` is when it was
+    (`since_power_on_cells`).
     """
 
     def column(name: str) -> Floats:
@@ -175,6 +176,7 @@ def readings_of(taken: Sequence[Reading], source: str) -> Readings:
         REFERENCE_V: ["" if reading.reference_v is None else str(reading.reference_v) for reading in taken],
         TEMPERATURE_SOURCE: [reading.temperature_source for reading in taken],
         CHAMBER_C: ["" if reading.chamber_c is None else str(reading.chamber_c) for reading in taken],
+        SINCE_POWER_ON_S: since_power_on_cells([reading.time_s for reading in taken], power),
         **columns_of([reading.rails for reading in taken]),
     }
     table = make_readings(

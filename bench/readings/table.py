@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bench.base.arrays import Floats, Ints, Labels
 from bench.base.text import shortened
 from bench.model.conditions import Conditions
-from bench.readings.columns import above_nominal_v, level_rad
+from bench.readings.columns import above_nominal_v, level_rad, since_power_on_s
 
 # --- one table --------------------------------------------------------------------------------------
 
@@ -147,6 +147,7 @@ class Readings:
             if SCAN_ORDER in self.extra
             else None,
             began_s=self.began_s,
+            on_s=since_power_on_s(self.extra),
             level_rad=level_rad(self.extra, len(self)),
             supply_v=above_nominal_v(self.extra),
         )

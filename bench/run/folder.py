@@ -130,7 +130,8 @@ class Run:
         if not taken:
             raise RecordError(f"{self.folder}: no reading is recorded in this run")
         planned = sum(isinstance(s, Read) and s.installation == VERIFICATION for s in self.plan.steps)
-        table = with_levels(readings_of(taken, str(self.folder)), self._seen_by_level())
+        power = self.trusted_history().power
+        table = with_levels(readings_of(taken, str(self.folder), power), self._seen_by_level())
         return replace(
             table,
             verification_missing=planned - len(table.verification()),

@@ -79,7 +79,8 @@ class History:
     last whole line, which stands for all lines before it; `length` is the number of bytes up to there.
     `taken` are the readings without their samples, in the order of measurement; None marks a mounting in the
     middle of a run. `identities` are those of the instruments when the run was begun, `serials` their serial
-    numbers where the bench has certificates. `levelled` are the results of the level with their bench time.
+    numbers where the bench has certificates. `levelled` are the results of the level with their bench time,
+    `power` the states of the block's supply ("on", "found on", "off", "fault") with theirs.
     Events after an invalid line are left out of all fields.
     """
 
@@ -94,6 +95,7 @@ class History:
     identities: dict[str, str]
     serials: dict[str, str]
     levelled: tuple[tuple[float, Levelled], ...] = ()
+    power: tuple[tuple[float, str], ...] = ()
 
     @property
     def readings(self) -> dict[int, Reading]:
@@ -137,6 +139,7 @@ class _Reader:
         self._identities: dict[str, str] | None = None
         self._serials: dict[str, str] = {}
         self._levelled: list[tuple[float, Levelled]] = []
+        self._power: list[tuple[float, str]] = []
 
     def read(self, file: BinaryIO) -> list[str]:
         """Read the lines; return a sentence on the first invalid one, or an empty list."""
@@ -174,6 +177,8 @@ class _Reader:
                 self._taken.append((event.step, reading))
             elif isinstance(event.result, Levelled):
                 self._levelled.append((event.bench_s, event.result))
+        elif event.type == EventType.POWER:
+            self._power.append((event.bench_s, str(event.data["power"])))
         elif event.type == EventType.REMOUNTED:
             self._taken.append(None)
         elif event.type in _OPENED and self._identities is None:
@@ -194,6 +199,7 @@ class _Reader:
             identities=self._identities or {},
             serials=self._serials,
             levelled=tuple(self._levelled),
+            power=tuple(self._power),
         )
 
 

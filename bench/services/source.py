@@ -16,7 +16,8 @@ from bench.calibration.noise import KnownStand
 from bench.config.bench_file.file import BenchFile
 from bench.config.model_file import ModelFile, load_model
 from bench.model import CATALOGUE, Effect, ForwardModel
-from bench.readings.columns import ranges_in_words
+from bench.model.effects.formula import SINCE_POWER_ON, FormulaEffect, names_in
+from bench.readings.columns import SINCE_POWER_ON_S, ranges_in_words
 from bench.readings.corrected import VOLTS, corrected
 from bench.readings.csv import format_csv, read_csv, read_frame
 from bench.readings.table import Readings
@@ -271,12 +272,24 @@ def _load(given: Given, request: Request) -> Source:
     if learned.meters is not None:
         traced = replace(traced, by=traced.by.then(learned.meters.gain, learned.meters.offset_v))
         readings = corrected(as_read, traced.by)
+    notes += _on_power(own, readings)
     readings = replace(readings, notes=(*notes, *learned.notes, *traced.notes(), *readings.notes))
     name = given if isinstance(given, str) else readings.source
     return Source(
         name, readings, bench, taken, model, gravity, run, told.origin, request, as_read, traced,
         (*own, *learned.own), learned.known, learned.meters, learned.name,
     )  # fmt: skip
+
+
+def _on_power(own: Iterable[Effect], readings: Readings) -> tuple[str, ...]:
+    """Return a note where formulas count from when the block was switched on, and the readings do not say when."""
+    names = [e.name for e in own if isinstance(e, FormulaEffect) and SINCE_POWER_ON in names_in(e.expression)]
+    if not names or SINCE_POWER_ON_S in readings.extra:
+        return ()
+    return (
+        f"these readings do not say when the block was switched on (column {SINCE_POWER_ON_S}): "
+        f"{SINCE_POWER_ON} of {', '.join(names)} counts from the start of the run",
+    )
 
 
 def _learned(

@@ -28,6 +28,7 @@ COLUMNS: Final[dict[str, tuple[str, str]]] = {
     "temperature_c": ("°C", "at the block; may be empty"),
     "samples": ("–", "how many samples of the meter the reading is the mean of"),
     "range_v": ("V", "range of the meter"),
+    "since_power_on_s": ("s", "since the block was switched on, for `warm_up`; may be empty"),
     "scan_order": ("–", "in which order the channels were read, such as `xyz`"),
     "reference_v": ("V", "voltage at a reference input, for `R`"),
     "temperature_source": ("–", "what told `temperature_c`, where that was a thermometer at the block"),

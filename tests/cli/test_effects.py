@@ -1,6 +1,7 @@
 """Effects on the command line: a dry run has them, a fit finds them; terms without a name get one."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,11 @@ from bench.config.formulas import load_effects
 from bench.config.model_file import load_model
 from bench.config.shipped import find_bench
 from bench.model.effects import CATALOGUE
+from bench.readings.csv import write_csv
 from bench.run.folder import Run
+from bench.services.source import Request, load_sources
 from tests.support.commands import printed, refused
+from tests.support.diagnosis_bench import paper_run
 from tests.support.runner_bench import interrupt_at
 
 LOOKING_BACK = """\
@@ -195,3 +199,33 @@ def test_both_phases_of_a_wave_are_as_plausible_as_the_larger(accept):
     assert accept(*NAME, "--term", "unnamed_1")[0] == 0
     (effect,) = load_effects(Path("slow_settling.yaml"))
     assert [p.plausible for p in effect.parameters] == pytest.approx([90e-6, 90e-6])
+
+
+SETTLING = """\
+effects_file: 1
+formulas:
+  - name: settling
+    sentence: the bias settles
+    stage: block output
+    expression: A * exp(-since_power_on / 40 min)
+    parameters:
+      A: {plausible: 100 ug}
+"""
+
+
+def test_a_formula_that_counts_from_power_on_is_told_where_nobody_says_when_that_was(empty_folder):
+    path = Path("settling.yaml")
+    path.write_text(SETTLING, encoding="utf-8")
+    table = paper_run(None)
+
+    def told():
+        write_csv(table, Path("r.csv"))
+        (source,) = load_sources(Request(["r.csv"], Path("runs")))
+        return [note for note in source.readings.notes if "switched on" in note]
+
+    assert told() == []
+    with CATALOGUE.also(load_effects(path)):
+        (note,) = told()
+        assert note.endswith("since_power_on of settling counts from the start of the run")
+        table = replace(table, extra={"since_power_on_s": np.full(len(table), "60")})
+        assert told() == []

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
+from bench.base.units import unit_of
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench, load_recorded_bench
 from bench.config.formulas import effects_in, effects_text, load_effects
@@ -13,6 +14,7 @@ from bench.config.model_file import load_model, write_model_file
 from bench.config.shipped import find_bench
 from bench.model import CATALOGUE, AppliedEffect, Block, Conditions, Stage
 from bench.model.effects import ExpressionError, Seen
+from bench.model.effects.formula import UNITS
 
 ENTRY = """\
   - name: settling
@@ -69,6 +71,9 @@ def test_a_formula_is_read_in_si_and_written_back_the_same(tmp_path):
         ("lag: {grid: [0 min, 10 min]}", "lag: {grid: [1 V]}", 6, "the second argument of 'lagged' is a time"),
         ("travelled / turns", "time * turns", 6, "exp takes a plain number or an angle, and is given s"),
         ("+ B", "+ time * B", 6, "stand on two sides of '\\+'"),
+        ("travelled / turns", "turns * (time > 40 min)", None, None),
+        ("travelled / turns", "turns * (time > 2400)", 6, "write the number with its unit, such as '2400 s'"),
+        ("travelled / turns", "turns * (time > 3 V)", 6, "s and V stand on two sides of '>'"),
         ("settling", "hysteresis", 3, "the bench has an effect 'hysteresis' already"),
         ("settling", "Settling!", 3, "small letters"),
         ("stage: block output", "stage: block", 5, "did you mean 'block output'"),
@@ -87,6 +92,14 @@ def test_a_mistake_is_told_with_its_line(tmp_path, old, new, line, told):
         at == line and any(word in said for word in told.replace("\\", "").split("|"))
         for at, _, said in found
     ), found
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_units_in_a_formula_are_those_of_files(unit):
+    si, of = UNITS[unit]
+    factor, dimension = unit_of(unit)
+    assert si == pytest.approx(factor, rel=1e-15)
+    assert dimension == unit_of(of)[1]
 
 
 def test_all_mistakes_at_once_and_two_of_a_name(tmp_path):

@@ -11,7 +11,7 @@ from bench.model import CATALOGUE, AppliedEffect, Conditions, ForwardModel, Para
 from bench.model.effects import ExpressionError, FormulaEffect, Seen
 from bench.model.effects.block import CrossCoupling, WarmUp
 from bench.model.effects.formula import MOST_CHARACTERS, parse
-from tests.support.effect_bench import ALPHA4, BLOCK, CONDITIONS, INSTALLATIONS, STAND
+from tests.support.effect_bench import ALPHA4, BLOCK, CONDITIONS, INSTALLATIONS, SECOND, STAND, TIME_S
 
 SIZE = Parameter("A", "1", 1.0, 1e-5, per_channel=False)
 EACH = replace(SIZE, per_channel=True)
@@ -75,6 +75,58 @@ def test_what_no_fit_could_use_is_told(text, told):
     with pytest.raises(ExpressionError, match=told):
         formula(text)
     assert formula("A * 2 - a * A / (1 + a**2)")
+
+
+@pytest.mark.parametrize(
+    ("text", "same"),
+    [
+        ("A * (U > 0.3 V)", "A * (U > 0.3)"),
+        ("A * (U > 500mV) * (U < .8 V)", "A * (U > 0.5) * (U < 0.8)"),
+        ("A * exp(-time / 40 min)", "A * exp(-time / 2400)"),
+        ("A * sin(angle - 90 deg) * 2e-1", "A * sin(angle - pi / 2) * 0.2"),
+        ("A * sin(angle - 90°)", "A * sin(angle - pi / 2)"),
+        ("A * lagged(temperature, 5 min)", "A * lagged(temperature, 300)"),
+        ("A * (U > -1.5e3 mV)", "A * (U > -1.5)"),
+    ],
+)
+def test_a_number_may_have_a_unit(text, same):
+    got, expected = (added(formula(one, Stage.VOLTMETER_READING), {"A": 1.0})[1] for one in (text, same))
+    assert np.any(expected)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("text", ["A * (U > 1.3 W)", "A * 2 sin(angle)", "A * (U > 1.3 V2)", "A * 1.5.real"])
+def test_another_word_after_a_number_is_refused(text):
+    with pytest.raises(ExpressionError):
+        formula(text, Stage.VOLTMETER_READING)
+
+
+ON_S = TIME_S + 900.0
+
+
+@pytest.mark.parametrize(
+    ("variable", "on_s", "expected"),
+    [
+        ("since_start", None, TIME_S),
+        ("since_mounting", None, TIME_S - np.where(SECOND, TIME_S[18], TIME_S[0])),
+        ("since_power_on", None, TIME_S),
+        ("since_power_on", ON_S, ON_S),
+        ("since_power_on", np.where(SECOND, ON_S, np.nan), np.where(SECOND, ON_S, TIME_S)),
+    ],
+)
+def test_times_count_from_the_start_the_mounting_or_the_power(variable, on_s, expected):
+    effect = formula(f"A * {variable} / 1 h", Stage.HEAD_ANGLE)
+    assert effect.needs_history == (variable == "since_mounting")
+    got = added(effect, {"A": 1.0}, replace(CONDITIONS, on_s=on_s))[1]
+    np.testing.assert_allclose(got, expected / 3600, rtol=1e-12, atol=1e-15)
+
+
+def test_a_mounting_of_a_later_run_begins_anew():
+    began = np.array([0.0, 0.0, 5000.0, 5000.0])
+    conditions = Conditions.of(
+        ["1", "1", "1", "1"], [0.0, 1.0, 0.0, 1.0], time_s=[100.0, 300.0, 5050.0, 5250.0], began_s=began
+    )
+    np.testing.assert_array_equal(conditions.since_mounting_s, [0.0, 200.0, 0.0, 200.0])
 
 
 def test_a_stand_effect_says_which_angle():

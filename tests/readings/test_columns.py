@@ -23,6 +23,7 @@ from bench.readings.columns import (
     nominal_column,
     of_cell,
     ranges_in_words,
+    since_power_on_cells,
     voltage_column,
 )
 from bench.readings.corrected import FOUNDATION_ARCSEC_H, LevelReading, with_levels
@@ -192,6 +193,32 @@ def test_a_table_without_rails_knows_nothing_of_a_supply(tmp_path):
     conditions = read_csv(write(tmp_path, "1,1,1,0,0.1,0.2,0.3", header=HEADER), ["1"]).conditions()
     assert conditions.supply_v is None
     assert conditions.above_nominal_v.shape == (1, 0)
+
+
+def test_the_time_since_power_came_on_is_that_of_the_last_time_it_did():
+    power = [
+        (0.0, "found on"),
+        (100.0, "off"),
+        (130.0, "on"),
+        (500.0, "found on"),
+        (600.0, "fault"),
+        (700.0, "on"),
+    ]
+    read_s = [50.0, 110.0, 130.0, 330.5, 550.0, 650.0, 701.25, None]
+    expected = ["", "", "0.000", "200.500", "420.000", "", "1.250", ""]
+    assert since_power_on_cells(read_s, power) == expected
+    assert since_power_on_cells(read_s, []) == [""] * len(read_s)
+
+
+def test_a_readings_file_says_since_when_the_block_is_on(tmp_path):
+    rows = ["1,1,1,0,0.1,0.2,0.3,900.5", "1,1,2,45,0.1,0.2,0.3,"]
+    path = write(tmp_path, *rows, header=f"{HEADER},since_power_on_s")
+    table = read_csv(path, ["1"])
+    np.testing.assert_array_equal(table.conditions().on_s, [900.5, np.nan])
+    path.write_text(format_csv(table), encoding="utf-8")
+    np.testing.assert_array_equal(read_csv(path, ["1"]).conditions().on_s, [900.5, np.nan])
+    with pytest.raises(ReadingsError, match="column since_power_on_s: expected a time in seconds"):
+        read_csv(write(tmp_path, f"{rows[0][:-5]}-3", header=f"{HEADER},since_power_on_s"), ["1"])
 
 
 def test_a_voltage_that_is_no_number_is_told_with_its_place(tmp_path):

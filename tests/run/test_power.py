@@ -62,6 +62,7 @@ def test_a_run_switches_the_block_on_in_order_and_off_in_reverse(run):
     (first_s, _, _), (second_s, _, _) = supply.done[:2]
     assert second_s - first_s == 3.0
     assert powers(history) == ["on", "off"]
+    assert [state for _, state in history.power] == ["on", "off"]
     assert len(readings) == len(READS)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -10,7 +11,7 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.base.arrays import ARCSEC, CHANNELS, HOUR, MINUTE, Floats, Mask
 from bench.model.effects.base import Effect, Parameter, Seen, Stage, Subsystem, Values
 from bench.model.effects.block import lagged
 from bench.model.geometry import STAND_ANGLES
@@ -51,8 +52,8 @@ Term = TypeVar("Term")
 class ExpressionReading(Protocol, Generic[Term]):
     """One way to read an expression: for its values, for its degree in the parameters, for its dimension."""
 
-    def number(self, value: float) -> Term:
-        """Read a number as written."""
+    def number(self, value: float, unit: str) -> Term:
+        """Read a number as written; with a unit in SI, `unit` is then which."""
 
     def name(self, name: str) -> Term:
         """Read a variable or a parameter."""
@@ -64,17 +65,35 @@ class ExpressionReading(Protocol, Generic[Term]):
         """Read the call of a function."""
 
 
+QUANTITY: Final = re.compile(r"(?<![\w.])((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?+)[ \t]*([A-Za-zµμ°′″]+)(?!\w)")
+"""A number with its unit, "1.3 V": the tree has the unit as an attribute of the number."""
+
+UNITS: Final[Mapping[str, tuple[float, str]]] = {
+    "V": (1.0, "V"), "mV": (1e-3, "V"), "uV": (1e-6, "V"), "s": (1.0, "s"), "ms": (1e-3, "s"),
+    "min": (MINUTE, "s"), "h": (HOUR, "s"), "d": (24 * HOUR, "s"), "K": (1.0, "K"), "mK": (1e-3, "K"),
+    "rad": (1.0, ""), "deg": (np.pi / 180, ""), "arcmin": (60 * ARCSEC, ""), "arcsec": (ARCSEC, ""),
+    "rev": (2 * np.pi, ""), "g": (1.0, ""), "mg": (1e-3, ""), "ug": (1e-6, ""), "ppm": (1e-6, ""),
+}  # fmt: skip
+"""Units that a number of a formula may have: how many SI units one is, and which; "" for plain numbers."""
+
+_PLAIN: Final = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "′": "arcmin", "″": "arcsec"})
+
+
 @lru_cache(maxsize=2048)
 def parse(text: str) -> ast.expr:
-    """Return the tree of an expression. Raises `ExpressionError` where anything else stands in it."""
+    """Return the tree of an expression; a number with a unit is an attribute of it, `(1.3).V`.
+
+    Raises `ExpressionError` where anything else stands in it.
+    """
     if len(text) > MOST_CHARACTERS:
         raise ExpressionError(f"the expression has {len(text)} characters; {MOST_CHARACTERS} is the most")
+    plain = QUANTITY.sub(lambda found: f"({found[1]}).{found[2].translate(_PLAIN)}", text.strip())
     try:
-        tree = ast.parse(text.strip(), mode="eval").body
+        tree = ast.parse(plain, mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         reason = error.msg if isinstance(error, SyntaxError) else type(error).__name__
         raise ExpressionError(f"this cannot be read as a formula ({reason})") from None
-    _refuse_others(tree, text, MOST_NESTED)
+    _refuse_others(tree, plain, MOST_NESTED)
     return tree
 
 
@@ -86,6 +105,12 @@ def _refuse_others(node: ast.AST, text: str, deeper: int) -> None:
         case ast.Constant(value=bool() | str() | bytes() | complex() | None):
             pass
         case ast.Constant(value=int() | float()) | ast.Name():
+            return
+        case ast.Attribute(value=ast.Constant(value=int() | float()), attr=unit):
+            if unit not in UNITS:
+                raise ExpressionError(
+                    f"'{unit}' after a number is no unit of a formula; there are {', '.join(UNITS)}"
+                )
             return
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
             _refuse_others(left, text, deeper - 1)
@@ -103,10 +128,10 @@ def _refuse_others(node: ast.AST, text: str, deeper: int) -> None:
             for argument in arguments:
                 _refuse_others(argument, text, deeper - 1)
             return
-    written = ast.get_source_segment(text.strip(), node) if isinstance(node, ast.expr) else None
+    written = ast.get_source_segment(text, node) if isinstance(node, ast.expr) else None
     raise ExpressionError(
-        f"'{written or text}' may not stand in a formula; numbers, names, + - * / **, comparisons and "
-        f"{', '.join(known_functions())} may"
+        f"'{written or text}' may not stand in a formula; numbers, with a unit where they have one, names, "
+        f"+ - * / **, comparisons and {', '.join(known_functions())} may"
     )
 
 
@@ -155,12 +180,15 @@ def interpret(text: str, reading: ExpressionReading[Term]) -> Term:
 def _read(node: ast.expr, reading: ExpressionReading[Term]) -> Term:
     match node:
         case ast.Constant(value=int() | float() as value):
-            return reading.number(_as_float(value))
+            return reading.number(_as_float(value), "")
+        case ast.Attribute(value=ast.Constant(value=int() | float() as value), attr=unit):
+            si, of_unit = UNITS[unit]
+            return reading.number(_as_float(value) * si, of_unit)
         case ast.Name(id=name):
             return reading.name(name)
         case ast.UnaryOp(op=op, operand=operand):
             sign = -1.0 if isinstance(op, ast.USub) else 1.0
-            return reading.operation("*", reading.number(sign), _read(operand, reading))
+            return reading.operation("*", reading.number(sign, ""), _read(operand, reading))
         case ast.BinOp(left=left, op=op, right=right):
             return reading.operation(_OPERATORS[type(op)], _read(left, reading), _read(right, reading))
         case ast.Compare(left=left, ops=[op], comparators=[right]):
@@ -187,7 +215,7 @@ class ValueReading:
         self._names = names
         self._lagged = lagged
 
-    def number(self, value: float) -> Floats:
+    def number(self, value: float, unit: str) -> Floats:
         """Return the number."""
         return np.asarray(value)
 
@@ -220,7 +248,7 @@ class DegreeReading:
     def __init__(self, sizes: frozenset[str]) -> None:
         self._sizes = sizes
 
-    def number(self, value: float) -> int:
+    def number(self, value: float, unit: str) -> int:
         """Return 0."""
         return 0
 
@@ -307,7 +335,9 @@ class FormulaEffect(Effect):
                 raise ExpressionError(f"the parameter '{parameter.name}' does not stand in the expression")
         shapes = {parameter.name for parameter in self.parameters if parameter.is_shape}
         for lag in lags_in(self.expression):
-            if not isinstance(lag, ast.Constant) and not (isinstance(lag, ast.Name) and lag.id in shapes):
+            if not isinstance(lag, ast.Constant | ast.Attribute) and not (
+                isinstance(lag, ast.Name) and lag.id in shapes
+            ):
                 raise ExpressionError("the lag of 'lagged' is a number of seconds or a parameter with a grid")
         if (self.adds_to in STAND_ANGLES) != (self.stage is Stage.STAND):
             raise ExpressionError(
@@ -320,7 +350,7 @@ class FormulaEffect(Effect):
     @property
     def needs_history(self) -> bool:  # type: ignore[override]
         """Whether a reading depends on those before it."""
-        looks_back = {"turned", "wound", "travelled", "visit"}
+        looks_back = {"turned", "wound", "travelled", "visit", "since_mounting"}
         return (
             self.lasts
             or LAGGED in calls_in(self.expression)
@@ -379,6 +409,9 @@ _WITH_CHANNELS: Final = (Stage.SPECIFIC_FORCE, Stage.BLOCK_OUTPUT, Stage.VOLTMET
 
 Variable = Callable[[Seen], Floats]
 
+SINCE_POWER_ON: Final = "since_power_on"
+"""The variable that is the time since the start of the run where the readings do not say when power came on."""
+
 
 def variables_of(stage: Stage) -> dict[str, Variable]:
     """Return what a formula of a stage may depend on: each a function of what it sees, shape (n,) or (n, 3)."""
@@ -413,6 +446,9 @@ _COMMON: Final[dict[str, Variable]] = {
     "travelled": lambda seen: seen.conditions.head_turns.travelled,
     "direction": lambda seen: seen.conditions.direction.astype(np.float64),
     "time": lambda seen: seen.conditions.elapsed_s,
+    "since_start": lambda seen: seen.conditions.elapsed_s,
+    "since_mounting": lambda seen: seen.conditions.since_mounting_s,
+    SINCE_POWER_ON: lambda seen: seen.conditions.switched_on_s,
     "temperature": lambda seen: seen.conditions.warmth_k,
     "pass_number": lambda seen: seen.conditions.pass_number.astype(np.float64),
     "visit": lambda seen: seen.conditions.head_turns.visit,
