@@ -13,6 +13,7 @@ from bench.base.arrays import CHANNELS, Floats, Ints
 from bench.calibration.noise import KnownNoise, KnownStand
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Parameter, Stage
+from bench.model.effects.base import InPart
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block
 
@@ -142,7 +143,8 @@ class Problem:
         """Names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]".
 
         An effect of certain mountings ends with them: "turn_on_shift.step[y][2]"; if an effect
-        occurs in several shapes, its shape follows the name: "axis_wobble.sine(harmonic 2)".
+        occurs in several shapes, its shape follows the name: "axis_wobble.sine(harmonic 2)". What is open of a
+        shape is "warm_up in other shapes (1)".
         """
         stand = [f"{SYMBOLS[STAND_ANGLES[s.column]]}[{self.conditions.mounts[s.mount]}]" for s in self.stand]
         effects = []
@@ -150,7 +152,9 @@ class Problem:
             applied = self.model.effects[e.effect]
             channel = "" if e.channel is None else f"[{CHANNELS[e.channel]}]"
             mounts = f"[{'+'.join(applied.installations)}]" if applied.installations else ""
-            effects.append(f"{applied.effect.name}.{e.parameter}{channel}{mounts}")
+            own = applied.effect
+            title = own.title if isinstance(own, InPart) else f"{own.name}.{e.parameter}"
+            effects.append(f"{title}{channel}{mounts}")
         shapes = [self.model.effects[e.effect].shapes_text() for e in self.effects]
         named = zip(effects, shapes, strict=True)
         return stand + [f"{name}({shape})" if effects.count(name) > 1 else name for name, shape in named]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 import yaml
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.units import QuantityKind, parse_quantity
@@ -58,27 +58,39 @@ class EffectEntry(FileModel):
 
 
 class OpenShape(FileModel):
-    """One way in which the shape of the effect `of` is open: `part` times the sum of `effects`, u of it beside.
+    """A sum of other shapes that the effect `of` may have, too: all `changes` together, `times` ± `u` times.
 
-    The readings that it was found in make all such sizes independent of each other.
+    The readings that it was found in make all such sums independent of each other. `says` is the same in words
+    for the reader of the file; nothing is computed from it.
     """
 
     of: str
-    part: float = Field(allow_inf_nan=False)
+    says: str | None = None
+    times: float = Field(allow_inf_nan=False)
     u: float = Field(gt=0.0, allow_inf_nan=False)
-    effects: tuple[EffectEntry, ...] = Field(min_length=1)
+    changes: tuple[EffectEntry, ...] = Field(min_length=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_written_before(cls, written: Any) -> Any:
+        """Take `part` and `effects` of earlier versions for `times` and `changes`."""
+        if not isinstance(written, dict) or "part" not in written:
+            return written
+        renamed = {"part": "times", "effects": "changes"}
+        return {renamed.get(key, key): value for key, value in written.items()}
 
     def applied(self, number: int) -> AppliedEffect:
         """Return it as an effect with its size, the `number`th of its own."""
-        return in_part(self.of, number, tuple(entry.applied() for entry in self.effects), self.part, self.u)
+        return in_part(self.of, number, tuple(entry.applied() for entry in self.changes), self.times, self.u)
 
 
 class WithEffects(FileModel):
-    """A file with `effects`, and with the `formulas` of the user's own that some of them rest on."""
+    """What states `effects`, the `formulas` of the user's own that some rest on, what is `left_open` of them."""
 
     if TYPE_CHECKING:
         formulas: tuple[FormulaEntry, ...]
         effects: tuple[EffectEntry, ...]
+        left_open: tuple[OpenShape, ...]
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
@@ -90,9 +102,14 @@ class WithEffects(FileModel):
         return tuple(entry.effect() for entry in self.formulas)
 
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
-        """Return the effects with their values in SI."""
+        """Return the effects with their values in SI, with what is left open of their shapes."""
+        count: Counter[str] = Counter()
         with CATALOGUE.also(self.own_effects()):
-            return tuple(entry.applied() for entry in self.effects)
+            applied = [entry.applied() for entry in self.effects]
+            for entry in self.left_open:
+                count[entry.of] += 1
+                applied.append(entry.applied(count[entry.of]))
+        return tuple(applied)
 
 
 class ModelFile(WithEffects):
@@ -112,16 +129,6 @@ class ModelFile(WithEffects):
     formulas: tuple[FormulaEntry, ...] = ()
     effects: tuple[EffectEntry, ...] = ()
     left_open: tuple[OpenShape, ...] = ()
-
-    def applied_effects(self) -> tuple[AppliedEffect, ...]:
-        """Return the effects with their values in SI, with what is open of them."""
-        count: Counter[str] = Counter()
-        open_ones = []
-        with CATALOGUE.also(self.own_effects()):
-            for entry in self.left_open:
-                count[entry.of] += 1
-                open_ones.append(entry.applied(count[entry.of]))
-        return (*super().applied_effects(), *open_ones)
 
 
 def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
@@ -143,21 +150,26 @@ def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
 # --- reading effects --------------------------------------------------------------------------------
 
 
-def mistakes_with_formulas(data: Any, installations: Collection[str] = ()) -> Iterator[tuple[Place, str]]:
-    """Yield what is wrong with the `formulas` of a file as written, and with the `effects` that rest on them."""
-    wrong = list(formula_mistakes(part(data, "formulas"), ("formulas",)))
+def mistakes_with_formulas(
+    data: Any, installations: Collection[str] = (), place: Place = ()
+) -> Iterator[tuple[Place, str]]:
+    """Yield what is wrong with the `formulas` as written at a place, and with the `effects` that rest on them."""
+    wrong = list(formula_mistakes(part(data, "formulas"), (*place, "formulas")))
     yield from wrong
     if wrong:
         return  # which effects there are is not known
     with CATALOGUE.also(effects_as_written(part(data, "formulas"))):
-        yield from list(effect_mistakes(part(data, "effects"), ("effects",), installations))
-        yield from list(_left_open_mistakes(part(data, "left_open"), installations))
+        yield from list(effect_mistakes(part(data, "effects"), (*place, "effects"), installations))
+        yield from list(_left_open_mistakes(part(data, "left_open"), (*place, "left_open"), installations))
 
 
-def _left_open_mistakes(entries: Any, installations: Collection[str]) -> Iterator[tuple[Place, str]]:
+def _left_open_mistakes(
+    entries: Any, place: Place, installations: Collection[str]
+) -> Iterator[tuple[Place, str]]:
     for index, entry in enumerate(entries if isinstance(entries, list) else []):
-        here: Place = ("left_open", index, "effects")
-        effects = part(entry, "effects")
+        key = "changes" if part(entry, "changes") else "effects"
+        here: Place = (*place, index, key)
+        effects = part(entry, key)
         wrong = list(effect_mistakes(effects, here, installations))
         yield from wrong
         if wrong or not isinstance(effects, list):
@@ -353,10 +365,35 @@ def _written_left_open(applied: AppliedEffect) -> dict[str, Any]:
     u = float(applied.u.get(PART, np.ones(())))
     return {
         "of": effect.of,
-        "part": float(applied.values[PART]),
+        "says": _said_of_open(effect, float(applied.values[PART]), u or 1.0),
+        "times": float(applied.values[PART]),
         "u": u or 1.0,
-        "effects": [_written_effect(one) for one in effect.parts],
+        "changes": [_written_effect(one) for one in effect.parts],
     }
+
+
+def _said_of_open(effect: InPart, times: float, u: float) -> str:
+    """Return in words what a sum adds to its effect: each change with its u, as large as it is in the sum."""
+    listed = []
+    for one in effect.parts:
+        sizes = [
+            f"{p.name}{where} {times * value / p.si_per_unit:.3g} ± {abs(u * value) / p.si_per_unit:.2g} {p.unit}"
+            for p in one.effect.parameters
+            if not p.is_shape
+            for where, value in _sizes(p, one)
+        ]
+        shape = one.shapes_text()
+        listed.append(f"{f'with {shape}: ' if shape else ''}{', '.join(sizes)}")
+    return f"what {effect.of} may be besides, larger or smaller all at once: {'; '.join(listed)}"
+
+
+def _sizes(parameter: Parameter, applied: AppliedEffect) -> Iterator[tuple[str, float]]:
+    """Yield the values of a parameter, SI, each with the channel that it is of in words."""
+    value = applied.complete_values()[parameter.name]
+    if parameter.per_channel:
+        yield from ((f" in {c}", float(value[i])) for i, c in enumerate(CHANNELS) if c in applied.channels)
+    else:
+        yield "", float(value)
 
 
 def _written_effect(applied: AppliedEffect) -> dict[str, Any]:

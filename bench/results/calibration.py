@@ -394,7 +394,8 @@ def print_calibration(name: str, found: Calibration, notes: Sequence[str], out: 
     out.print(_noise_in_words(found))
     out.print(_fit_in_words(found))
     for effect, value in found.effects.items():
-        out.print(f"effect {effect} = {value.value:.4g} ± {value.u:.2g} {value.unit}")
+        unit = "times" if value.unit == "1" else value.unit
+        out.print(f"effect {effect} = {value.value:.4g} ± {value.u:.2g} {unit}")
     if find_estimator(found.estimator).drops_outliers and not found.outliers:
         out.print("outliers: none found")
     for outlier in found.outliers:

@@ -217,7 +217,7 @@ def effects(calibration: Calibration) -> list[Row]:
     """Return the fitted parameters of the model's effects: estimate, u, unit, what the effect is."""
     rows = []
     for name, e in calibration.effects.items():
-        known = CATALOGUE.get(name.split(".")[0])
+        known = CATALOGUE.get(name.replace(" ", ".").split(".")[0])
         unit = e.unit.replace("ug", "µg").replace("^2", "²").replace("^3", "³").replace("arcsec", "″")
         sentence = known.sentence if known else ""
         rows.append(Row(name, (rounded(e.value, e.u, sign=True), uncertainty(e.u), unit, sentence)))

@@ -22,7 +22,7 @@ _INTRODUCTION: Final = """\
 # Effects
 
 What a block, a stand, a voltmeter or a site can do beside the paper's model. Each is written once: the
-simulated bench applies it (section `effects` of a [bench file](bench-files.md)), a calibration takes it
+simulated bench applies it (`simulation: effects` of a [bench file](bench-files.md)), a calibration takes it
 into account (a [model file](model-files.md)), `bench diagnose` looks for it and names it. *Plausible* is
 the size, one standard deviation, that the diagnosis takes for usual before it has seen readings. A *shape*
 is no size but a form (a time constant, a period): readings are not linear in it, a diagnosis tries the
@@ -35,9 +35,9 @@ _MODEL_FILES: Final = """\
 # Model files
 
 A model file lists effects with their values; `bench diagnose` writes one, `--model FILE` of `calibrate`,
-`budget`, `run --dry-run`, `simulate` and the next diagnosis takes it. Bench files state effects in the same
-words. A parameter is written in any unit of its dimension, for all channels alike or for each; a shape has
-one value and no `u`:
+`budget`, `run --dry-run`, `simulate` and the next diagnosis takes it. The section `simulation` of
+a bench file takes the same lists `formulas`, `effects`, `left_open`. A parameter is written in any unit of its
+dimension, for all channels alike or for each; a shape has one value and no `u`:
 
 ```yaml
 model_file: 1

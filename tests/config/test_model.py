@@ -7,9 +7,11 @@ import pytest
 
 from bench.base.arrays import ARCSEC
 from bench.base.yaml_files import FileMistakes
+from bench.calibration.design import make_problem
 from bench.config.bench_file.file import load_bench
 from bench.config.model_file import load_model, write_model_file
-from bench.model import CATALOGUE, AppliedEffect
+from bench.model import CATALOGUE, AppliedEffect, Block, Conditions, ForwardModel
+from bench.model.effects import Seen
 
 GOOD = """\
 model_file: 1
@@ -199,3 +201,55 @@ def test_a_bench_file_tells_the_line_of_such_a_mounting(tmp_path):
         load_bench(path)
     path.write_text(path.read_text(encoding="utf-8").replace("[3]", "[2]"), encoding="utf-8")
     assert load_bench(path).applied_effects()[0].installations == ("2",)
+
+
+# --- what is left open of a shape -------------------------------------------------------------------
+
+OPEN = """\
+model_file: 1
+name: warm
+effects:
+  - {name: warm_up, channels: [x], parameters: {A: 300 ug, tau: 20 min}}
+left_open:
+  - of: warm_up
+    times: -0.5
+    u: 1
+    changes:
+      - {name: warm_up, channels: [x], parameters: {A: -40 ug, tau: 20 min}}
+      - {name: warm_up, channels: [x], parameters: {A: 60 ug, tau: 10 min}}
+"""
+
+
+def test_what_is_open_of_a_shape_is_told_with_its_sizes(tmp_path):
+    """Each change as large as it is in the sum, -0.5 of -40 and 60 ug, with the u that a u of 1 gives it."""
+    _, left_open = load(tmp_path, OPEN).applied_effects()
+    path = tmp_path / "again.yaml"
+    write_model_file(path, "again", [left_open])
+    (entry,) = load_model(path).left_open
+    assert (entry.of, entry.times, entry.u) == ("warm_up", -0.5, 1.0)
+    assert entry.says == (
+        "what warm_up may be besides, larger or smaller all at once: "
+        "with tau 20 min: A in x 20 ± 40 ug; with tau 10 min: A in x -30 ± 60 ug"
+    )
+    assert "part" not in path.read_text(encoding="utf-8")
+    conditions = Conditions.of(["1"] * 3, np.zeros(3), time_s=[0.0, 600.0, 3600.0])
+    seen = Seen(np.zeros((3, 3)), conditions, Block(-2.0 * np.eye(3), np.zeros(3)))
+    t = conditions.time_s / 60.0
+    expected = -2.0 * (20e-6 * np.exp(-t / 20) - 30e-6 * np.exp(-t / 10))
+    np.testing.assert_allclose(left_open.addition(seen), np.outer(expected, [1, 0, 0]), atol=1e-15)
+
+
+def test_an_open_shape_of_an_earlier_version_is_read_alike(tmp_path):
+    before = OPEN.replace("times:", "part:").replace("changes:", "effects:")
+    one, same = (load(tmp_path, text).applied_effects()[1] for text in (OPEN, before))
+    assert str(one) == str(same)
+    with pytest.raises(FileMistakes, match=r"left_open\[1\]\.effects\[2\]\.parameters\.A: expected"):
+        load(tmp_path, before.replace("60 ug", "60 uV"))
+    with pytest.raises(FileMistakes, match=r"left_open\[1\]\.changes\[2\]\.parameters\.A: expected"):
+        load(tmp_path, OPEN.replace("60 ug", "60 uV"))
+
+
+def test_a_result_names_what_is_open_in_words(tmp_path):
+    model = ForwardModel({}, load(tmp_path, OPEN).applied_effects())
+    names = make_problem(model, Conditions.of(["1", "2"], [0.0, 1.0]), {}).names()
+    assert names == ["warm_up.A[x]", "warm_up in other shapes (1)"]

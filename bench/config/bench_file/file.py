@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Iterable, Iterator, Mapping, Set
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -45,7 +46,7 @@ from bench.config.bench_file.stand import (
 from bench.config.devices.device import Certificate, ChamberCertificate, HeadCertificate
 from bench.config.devices.registry import UnknownVoltmeter, devices, unknown_drivers
 from bench.config.devices.sections import MotorisedHeadForm, VoltmeterForm
-from bench.config.formulas import FormulaEntry
+from bench.config.formulas import FormulaEntry, effects_as_written
 from bench.config.model_file import EffectEntry, mistakes_with_formulas
 from bench.model import CATALOGUE, STAND_ANGLES, AppliedEffect, Block, Distribution, Effect, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2, normal_gravity_m_s2
@@ -90,6 +91,17 @@ class BenchFile(FileModel):
         stated = part(data, "installations")
         labels = {"1", "2", *(map(str, stated) if isinstance(stated, dict) else ())}
         yield from mistakes_with_formulas(data, labels)
+        simulation = part(data, "simulation")
+        if part(simulation, "effects") and part(data, "effects"):
+            yield (
+                ("effects",),
+                "the simulated bench has effects here and in 'simulation'; put all of them there",
+            )
+        wrong: list[tuple[Place, str]] = []
+        # its effects may rest on formulas of the whole file, too; two of a name are told above
+        with suppress(ValueError), CATALOGUE.also(effects_as_written(part(data, "formulas"))):
+            wrong = list(mistakes_with_formulas(simulation, labels, ("simulation",)))
+        yield from wrong
 
     @property
     def gravity_m_s2(self) -> float | None:
@@ -168,9 +180,13 @@ class BenchFile(FileModel):
         return {name: s.to_distribution() if s else Distribution(0.0) for name, s in sections.items()}
 
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
-        """Return the effects that the simulated bench has; no calibration knows of them."""
+        """Return the effects that the simulated bench has; no calibration knows of them.
+
+        Earlier versions had them as `effects` of the file.
+        """
         with CATALOGUE.also(self.own_effects()):
-            return tuple(entry.applied() for entry in self.effects)
+            before = tuple(entry.applied() for entry in self.effects)
+            return before + self.simulation.applied_effects()
 
     def own_effects(self) -> tuple[Effect, ...]:
         """Return the effects whose formulas the file states: a diagnosis looks for them, too."""
@@ -212,7 +228,9 @@ def load_recorded_bench(path: Path) -> BenchFile:
     """
     document = load_document(path)
     if isinstance(document.data, dict):
-        document.data.pop("effects", None)
+        for section in (document.data, part(document.data, "simulation")):
+            for key in ("effects", "left_open") if isinstance(section, dict) else ():
+                section.pop(key, None)
     known = not unknown_drivers(_sections_of(document.data))
     return validated(document, BenchFile if known else _WithUnknownInstruments)
 

@@ -19,7 +19,7 @@ from bench.base.units import AngleRad, SizeRad
 from bench.base.yaml_files import FileMistake, FileMistakes, FileModel, Place, load_validated, part
 from bench.config.devices.device import Day
 from bench.config.formulas import FormulaEntry
-from bench.config.model_file import EffectEntry, WithEffects, written_effects
+from bench.config.model_file import EffectEntry, OpenShape, WithEffects, written_effects
 from bench.model import AppliedEffect
 from bench.model.geometry import COEFFICIENTS
 
@@ -155,6 +155,7 @@ class LearnedFile(WithEffects):
     meters: MetersEntry | None = None
     formulas: tuple[FormulaEntry, ...] = ()
     effects: tuple[EffectEntry, ...] = ()
+    left_open: tuple[OpenShape, ...] = ()
     sizes: dict[str, Any] = Field(default_factory=dict)
     contradicting: tuple[str, ...] = ()
     not_identified: tuple[str, ...] = ()

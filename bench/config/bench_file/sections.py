@@ -36,6 +36,8 @@ from bench.config.devices.sections import (
     VoltmeterForm,
     VoltmeterTruth,
 )
+from bench.config.formulas import FormulaEntry
+from bench.config.model_file import EffectEntry, OpenShape, WithEffects
 from bench.model.geometry import COEFFICIENTS
 
 InstrumentForm = VoltmeterForm | HeadForm | ChamberForm | LevelForm | ThermometerForm | SupplyForm
@@ -180,8 +182,12 @@ class FaultSection(FileModel):
         return self.model_dump(exclude_none=True)
 
 
-class SimulationSection(FileModel):
-    """What the simulated bench is like; without a block it has the nominal scale factors alone."""
+class SimulationSection(WithEffects):
+    """What the simulated bench is like; without a block it has the nominal scale factors alone.
+
+    `effects`, with `formulas` and `left_open`, are those of a model file: the simulated bench has them, and nothing
+    that evaluates its readings knows of them.
+    """
 
     block: BlockTruth | None = None
     operator: OperatorTruth = OperatorTruth()
@@ -193,6 +199,9 @@ class SimulationSection(FileModel):
     power_supply: SupplyTruth = SupplyTruth()
     ambient_temperature: TemperatureC = 23.0
     faults: tuple[FaultSection, ...] = ()
+    formulas: tuple[FormulaEntry, ...] = ()
+    effects: tuple[EffectEntry, ...] = ()
+    left_open: tuple[OpenShape, ...] = ()
 
 
 DAY_S: Final = 86400.0

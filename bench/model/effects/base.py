@@ -263,6 +263,11 @@ class InPart(Effect):
         for name, value in told.items():
             object.__setattr__(self, name, value)
 
+    @property
+    def title(self) -> str:
+        """What results call its size: "warm_up in other shapes (1)"."""
+        return f"{self.of} in other shapes ({self.name.rpartition('_')[2]})"
+
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return the size times the sum of the parts (see `Effect.addition`)."""
         whole = np.sum([applied.addition(seen) for applied in self.parts], axis=0)

@@ -2,15 +2,17 @@
 
 import math
 import re
+import textwrap
 
 import numpy as np
 import pytest
 
 from bench.base.arrays import ARCSEC
 from bench.base.yaml_files import FileMistakes, sha256_of_file
-from bench.config.bench_file.file import STAND_ERRORS, load_bench
+from bench.config.bench_file.file import STAND_ERRORS, load_bench, load_recorded_bench
 from bench.config.devices.registry import devices
 from bench.config.devices.sections import VoltmeterKind
+from bench.config.model_file import load_model
 from bench.config.shipped import find_bench
 
 
@@ -227,6 +229,53 @@ effects:
     assert told.startswith(
         f"{line} effects[1].name: unknown effect 'quadratic_nonlimearity'; did you mean 'quad"
     )
+
+
+HIDDEN = """
+  formulas:
+    - name: fourth_power
+      sentence: the output has a part with the fourth power
+      stage: block output
+      expression: K4 * a**4
+      parameters: {K4: {plausible: 20 ug/g^4}}
+  effects:
+    - name: quadratic_nonlinearity
+      channels: [y]
+      parameters: {K2: 60 ug/g^2}
+    - name: fourth_power
+      parameters: {K4: {x: 50 ug/g^4}}
+  left_open:
+    - of: quadratic_nonlinearity
+      times: 0.5
+      u: 1
+      changes:
+        - {name: quadratic_nonlinearity, channels: [z], parameters: {K2: 10 ug/g^2}}
+"""
+
+
+def test_the_simulation_has_effects_as_a_model_file_states_them(tmp_path, mistakes, paper_text):
+    """The lists of a model file stand in the section `simulation`; no evaluation of readings knows of them."""
+    assert paper_text.rstrip().splitlines()[-1].startswith("  ")  # of the section simulation
+    path = tmp_path / "good.yaml"
+    text = paper_text.rstrip() + HIDDEN
+    path.write_text(text, encoding="utf-8")
+    bench = load_bench(path)
+    quadratic, fourth, left_open = bench.applied_effects()
+    assert quadratic.values["K2"] == pytest.approx([0, 60e-6, 0])
+    assert fourth.values["K4"] == pytest.approx([50e-6, 0, 0])
+    assert left_open.values["part"] == 0.5
+    assert bench.own_effects() == ()
+    model = f"model_file: 1\nname: same{textwrap.dedent(HIDDEN)}"
+    (tmp_path / "model.yaml").write_text(model, encoding="utf-8")
+    same = load_model(tmp_path / "model.yaml").applied_effects()
+    assert [str(a) for a in same] == [str(a) for a in bench.applied_effects()]
+    assert load_recorded_bench(path).applied_effects() == ()
+    line = text[: text.index("K2: 60 ug")].count("\n") + 1
+    (told,) = mistakes(text.replace("K2: 60 ug/g^2", "K2: 60 ug"))
+    assert told.startswith(f"{line} simulation.effects[1].parameters.K2: expected a value of K2 such as")
+    twice = text + "effects:\n  - {name: bias_drift, parameters: {rate: 3 ug/h}}\n"
+    (told,) = mistakes(twice)
+    assert "put all of them there" in told
 
 
 @pytest.mark.slow
