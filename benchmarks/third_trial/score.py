@@ -1,0 +1,216 @@
+"""What is counted of the third trial, and the bounds that it is held against."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final
+
+import numpy as np
+from scipy.stats import binom, binomtest
+
+from bench.readings.corrected import MistakeName
+from benchmarks.campaign import Share, markdown
+from benchmarks.third_trial.forms import NAMES, SCATTER
+
+Record = dict[str, Any]
+Marks = dict[str, bool | None]
+LARGE: Final = 12.0
+"""rho from which a gap and silence are judged."""
+APART: Final = 4.0
+"""Units of noise that the nearest rival leaves where the data can tell; that a wrong name leaves."""
+CLOSED: Final = 0.8
+"""Of what the true form closes."""
+_NOTHING: Final = re.compile(r"(NOTHING FOUND: )?readings and model agree within the noise")
+_PLACE: Final = re.compile(r"\bV\b|verification|point|channel|outlier|tails|slow|nois|round|off\b|\b[xyz]\b")
+
+
+def silent(one: Record) -> bool:
+    """Whether the verdict is that all agrees and the headline names nothing."""
+    said = one["names"] or _PLACE.search(_NOTHING.sub("", one["headline"]))
+    return one["verdict"] == "agrees" and not said
+
+
+def alone(one: Record) -> bool:
+    """Whether the verdict names something that nothing is tied with."""
+    return one["verdict"] == "named" and not any(one["ties"])
+
+
+def in_set(one: Record) -> set[str]:
+    """Return the names and what is tied with them."""
+    return {*one["names"], *(name for tie in one["ties"] for name in tie)}
+
+
+def holds(one: Record, names: Sequence[str]) -> bool:
+    """Whether names are what is there: none for nothing, an unnamed form or a look-alike for what has no name."""
+    if one["group"] == "catalogue":
+        return list(names) == [one["name"]]
+    if one["group"] == "null" or not names:
+        return one["group"] == "null" and not names
+    known = [name for name in names if name in NAMES or name in set(MistakeName)]
+    return all(one["leaves"].get(name, np.inf) < 1 for name in known)
+
+
+def marks_of(one: Record) -> Marks:
+    """Return what is right and wrong of a case of the main trial; None where it is not asked."""
+    failed: Marks = {"failed": one["verdict"] == "error"}
+    if one["group"] == "null":
+        return failed | {"null agrees": one["verdict"] == "agrees"}
+    lone, first, large = alone(one), [*one["names"], ""][0], one["rho"] >= LARGE
+    closed, left = (one.get("closed") or 0.0) >= CLOSED, one.get("left")
+    # a name that this trial does not know is judged by what it closes
+    wrong = lone and first != one["name"] and (not closed if left is None else left >= APART)
+    marks = failed | {"lone names that leave 4": wrong if lone else None}
+    if one["group"] == "outside":
+        mean, told = one["name"] not in SCATTER, silent(one)
+        return marks | {
+            "outside silent, mean form": told if large and mean else None,
+            "outside silent, scatter": told if large and not mean else None,
+            "outside closed": closed if large and mean else None,
+        }
+    right, rival, gap = lone and one["names"] == [one["name"]], one["rival"][1], one.get("gap", {})
+    measured = large and first == one["name"] and gap.get("before") is not None
+    return marks | {
+        "detected": one["verdict"] != "agrees",
+        "true name in the set": one["name"] in in_set(one) if one["verdict"] != "agrees" else None,
+        "alone and right": right,
+        "alone and right, rival leaves 4": right if rival >= APART else None,
+        "alone, rival leaves below 1": lone if rival < 1 else None,
+        "lone names that are wrong": not right if lone else None,
+        "gap measured": gap.get("before") is not None if large and first == one["name"] else None,
+        "gap shrinks": gap["shrinks"] is not False and gap["after"] < gap["before"] if measured else None,
+        "catalogue closed": closed if large else None,
+    }
+
+
+def far_marks(one: Record) -> Marks:
+    """Return what is right of a file with something far off."""
+    where = any(word in one["headline"] for word in one["right"])
+    anywhere = any(word in one.get("text", "") for word in one["right"])
+    return {"silent": silent(one), "place in the headline": where, "place in the text": anywhere}
+
+
+def mistake_marks(one: Record) -> Marks:
+    """Return what is right of a file with a mistake; put right is within 4.5 u in all twelve coefficients."""
+    after = one.get("off", {}).get("after")
+    return {
+        "detected": not silent(one),
+        "named": bool(in_set(one) & set(one["right"])),
+        "named alone": bool(one["names"]) and set(one["names"]) <= set(one["right"]) and not any(one["ties"]),
+        "put right": after is not None and max(map(abs, after)) < 4.5,
+    }
+
+
+def form_marks(one: Record) -> Marks:
+    """Return what a model does to the coefficients of a new day; where the zero of a drift is, only biases feel."""
+    if "new_day" not in one:
+        return {"model file": False}
+    before, after = (np.abs(one["new_day"][when]) for when in ("before", "after"))
+    worse = after > before + 1
+    return {
+        "model file": True,
+        "better": bool(np.sum(after**2) < np.sum(before**2)),
+        "worse by more than u": bool(worse.any()),
+        "K worse by more than u": bool(worse[:9].any()),
+    }
+
+
+JUDGED: Final[dict[str, Callable[[Record], Marks]]] = {
+    "main": marks_of, "far": far_marks, "mistakes": mistake_marks, "forms": form_marks,
+}  # fmt: skip
+BOUNDS: Final = {
+    "failed": ("<=", 0.0), "null agrees": (">=", 0.99), "outside silent, mean form": ("<=", 0.03),
+    "outside silent, scatter": ("<=", 0.15), "outside closed": (">=", 0.85),
+    "lone names that leave 4": ("<=", 0.02), "lone names that are wrong": ("<=", 0.015),
+    "gap shrinks": (">=", 0.95), "alone and right, rival leaves 4": (">=", 0.92),
+    "alone, rival leaves below 1": ("<=", 0.02), "silent": ("<=", 0.0), "place in the headline": (">=", 1.0),
+    "named": (">=", 1.0), "better": (">=", 0.8), "worse by more than u": ("<=", 0.02),
+}  # fmt: skip
+"""By column what is asked of it."""
+
+
+def shares(marks: Iterable[Marks]) -> dict[str, Share]:
+    """Return for each column how often it holds, of how often it was asked."""
+    columns: dict[str, list[bool]] = {}
+    for name, value in (pair for one in marks for pair in one.items()):
+        columns.setdefault(name, []).extend([] if value is None else [bool(value)])
+    return {name: Share(sum(values), len(values)) for name, values in columns.items()}
+
+
+def report(trial: str, found: Sequence[Record]) -> tuple[str, int]:
+    """Return tables and bounds as text, and how many bounds are missed."""
+    marks = [JUDGED[trial](one) for one in found]
+    total = shares(marks)
+    lines = [f"\n## {trial}: {len(found)} cases", "", *markdown(["", "share"], total.items())]
+    kinds: dict[str, dict[str, list[Marks]]] = {}
+    for one, its in zip(found, marks, strict=True):
+        kinds.setdefault(one["group"], {}).setdefault(one["name"] or one["noise"], []).append(its)
+    for group, by_name in kinds.items():
+        heads = list(dict.fromkeys(head for its in by_name.values() for one in its for head in one))
+        rows = [
+            [name, *(f"{s.successes}/{s.of}" for s in shares(its).values())] for name, its in by_name.items()
+        ]
+        lines += ["", *markdown([group, *heads], rows)]
+    said = []
+    for name, (sign, limit) in BOUNDS.items():
+        if share := total.get(name):
+            met = share.of == 0 or (share.part <= limit if sign == "<=" else share.part >= limit)
+            said.append(f"{name}: {share}; asked {sign} {limit:g}: {'met' if met else 'NOT MET'}")
+    if trial == "main":
+        said += [*_coefficients(found), *_posteriors(found)]
+    cpu = np.quantile([one["cpu"] for one in found if "cpu" in one], [0.5, 0.95])
+    lines += ["", *said, f"CPU of a diagnosis: median {cpu[0]:.2f} s, 95 % {cpu[1]:.2f} s"]
+    return "\n".join(lines), sum(line.endswith("NOT MET") for line in said)
+
+
+def _coefficients(found: Sequence[Record]) -> list[str]:
+    """Judge the twelve coefficients: of nulls, which checks this trial, and where the right name stands alone."""
+    right = [
+        one for one in found if one["group"] == "catalogue" and alone(one) and one["names"] == [one["name"]]
+    ]
+    lines = []
+    for what, cases in (
+        ("of nulls", [one for one in found if one["group"] == "null"]),
+        ("after naming", right),
+    ):
+        share = Share.true(np.abs([one["off"]["after"] for one in cases if "off" in one]) <= 2)
+        met = not share.of or 0.94 <= share.part <= 0.98
+        lines.append(
+            f"coefficients {what} within 2 u: {share}; asked 0.94 to 0.98: {'met' if met else 'NOT MET'}"
+        )
+    return lines
+
+
+def _posteriors(found: Sequence[Record]) -> list[str]:
+    """Hold stated probabilities against how often they are right, in five bins with 99 % binomial limits."""
+    stated = [
+        (odd["probability"], holds(one, odd["names"])) for one in found for odd in one.get("odds") or ()
+    ]
+    if not stated:
+        return ["posterior probabilities: not stated"]
+    p, true = np.array(stated, dtype=float).T
+    lines = []
+    for low, high in ((0.01, 0.2), (0.2, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 1.01)):
+        mine = (p >= low) & (p < high)
+        n, right, due = int(mine.sum()), int(true[mine].sum()), float(p[mine].sum())
+        least, most = binom.interval(0.99, n, due / n) if n else (0, 0)
+        met = "met" if least <= right <= most else "NOT MET"
+        asked = f"{due:.1f} due; asked {least:.0f} to {most:.0f}: {met}"
+        lines.append(f"stated {low:.2f} to {high:.2f}: {right} of {n} right, {asked}")
+    return lines
+
+
+def against(trial: str, new: Sequence[Record], old: Sequence[Record]) -> str:
+    """Return a table of the cases that differ between two runs, with McNemar's exact p of each column."""
+    before = {(one["seed"], one["number"]): JUDGED[trial](one) for one in old}
+    after = {(one["seed"], one["number"]): JUDGED[trial](one) for one in new}
+    pairs = [(before[key], after[key]) for key in after if key in before]
+    rows = []
+    for name in dict.fromkeys(name for pair in pairs for marks in pair for name in marks):
+        both = [(was[name], now[name]) for was, now in pairs if None not in {was.get(name), now.get(name)}]
+        gone, come = both.count((True, False)), both.count((False, True))
+        p = binomtest(come, gone + come).pvalue if gone + come else 1.0
+        held = [sum(bool(one[k]) for one in both) for k in (0, 1)]
+        rows.append([name, len(both), *held, come, gone, f"{p:.2g}"])
+    heads = ["column", "cases", "before", "now", "come", "gone", "McNemar's p"]
+    return "\n".join(["", f"{len(pairs)} cases beside those of the other run", "", *markdown(heads, rows)])
