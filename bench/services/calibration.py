@@ -21,7 +21,6 @@ from bench.calibration.mistakes import implausible, refuse_mixed_units, sheet_of
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, CalibrationError
 from bench.calibration.temperature import separate_temperatures
 from bench.config.bench_file.learned import PriorFile, load_prior
-from bench.exchange.result import BlockResult
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.results.calibration import (
     PriorPart,
@@ -31,14 +30,15 @@ from bench.results.calibration import (
     print_calibration,
 )
 from bench.results.parts import coefficient_unit, named
-from bench.services.coefficients import Coefficients, block_result, read_coefficients, write_form
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_of
 from bench.services.source import Source, provenance
 
 if TYPE_CHECKING:
     from bench.calibration.conformity import DecisionRule
+    from bench.exchange.result import BlockResult
     from bench.history.prior import Prior
+    from bench.services.coefficients import Coefficients
     from bench.services.requests.evaluation import Calibrate, Verify
     from bench.services.verification import VerdictOptions, VerificationResult
 
@@ -200,6 +200,8 @@ class CalibrationResult:
 
     def as_coefficients(self) -> Coefficients:
         """Return the coefficients in the form in which `read_coefficients` returns those of a file."""
+        from bench.services.coefficients import Coefficients
+
         own = self.calibration
         return Coefficients(
             own.block, own.covariance, own.noise.reading, own.g_m_s2, own.unit, self.source.simulated,
@@ -263,6 +265,8 @@ class CalibrationResult:
     @cached_property
     def derived(self) -> BlockResult:
         """N = K^-1 and the misalignment angles (`inverse`, `misalignments`), each with its covariance."""
+        from bench.services.coefficients import block_result
+
         return block_result(self.to_dict(), self.source.name)
 
     def write(
@@ -273,6 +277,8 @@ class CalibrationResult:
         `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot"; `nominal` are the scale factors,
         unit/g, by which the last three have the signals in m/s^2. Raises `Refused` for another form, `OSError`.
         """
+        from bench.services.coefficients import write_form
+
         return write_form(self.derived, Path(path), form, nominal)
 
     def print_on(self, out: Console) -> None:
@@ -376,6 +382,8 @@ def verification_of(
         coefficients = calibration_of(source)
         source = coefficients.source
     if isinstance(coefficients, Path):
+        from bench.services.coefficients import read_coefficients
+
         taken = read_coefficients(coefficients, source.readings.unit)
         foreign = taken.simulated and not source.simulated
         warning = f"the coefficients in {coefficients} were found on simulated instruments"

@@ -19,7 +19,6 @@ from bench.model import CATALOGUE, Effect, ForwardModel
 from bench.model.effects.formula import SINCE_POWER_ON, FormulaEffect, names_in
 from bench.readings.columns import SINCE_POWER_ON_S, ranges_in_words
 from bench.readings.corrected import VOLTS, corrected
-from bench.readings.csv import format_csv, read_csv, read_frame
 from bench.readings.table import Readings
 from bench.results.parts import FailedPart
 from bench.run.events import MANIFEST, RecordError, sha256
@@ -228,15 +227,19 @@ def _output(name: str, run: Run | None, out: Path | None, command: str, suffix: 
 
 def data_sha256(readings: Readings) -> str:
     """Return the SHA-256 by which a model file knows readings: that of the readings file they make."""
-    return sha256(format_csv(readings).encode())
+    return _hash(readings, to_the_bit=False)
+
+
+def _hash(readings: Readings, *, to_the_bit: bool = True) -> str:
+    from bench.readings.csv import format_csv
+
+    return sha256(format_csv(readings, to_the_bit=to_the_bit).encode())
 
 
 def _knows(stated: str | None, readings: Readings) -> bool:
     """Whether these readings are among those of a model file's hashes; earlier versions hashed every bit."""
     hashes = (stated or "").split()
-    return bool(hashes) and (
-        data_sha256(readings) in hashes or sha256(format_csv(readings, to_the_bit=True).encode()) in hashes
-    )
+    return bool(hashes) and (data_sha256(readings) in hashes or _hash(readings) in hashes)
 
 
 def _load(given: Given, request: Request) -> Source:
@@ -310,7 +313,7 @@ def _learned(
         traced.day,
         readings.unit,
         head="" if run is None else run.history.head,
-        hashes=(data_sha256(readings), sha256(format_csv(readings, to_the_bit=True).encode())),
+        hashes=(data_sha256(readings), _hash(readings)),
         simulated=None if told.origin is None else told.origin.simulated,
     )
     if found.known is None or readings.unit != VOLTS or readings.corrected:
@@ -342,14 +345,15 @@ def _of_unit(bench: BenchFile, origin: Origin | None) -> tuple[BenchFile, tuple[
 def _readings_of(given: Given, run: Run | None, bench: BenchFile, *, skip_bad_rows: bool) -> Readings:
     if isinstance(given, Readings):
         return given
+    if isinstance(given, str) and run is not None and not run.imported:
+        return run.readings()
+    from bench.readings.csv import read_csv, read_frame
+
     installations = bench.installation_models()
     if not isinstance(given, str):
         return read_frame(given, installations, skip_bad_rows=skip_bad_rows)
-    if run is None:
-        return read_csv(Path(given), installations, skip_bad_rows=skip_bad_rows)
-    if run.imported:
-        return read_csv(run.folder / IMPORTED, installations, skip_bad_rows=skip_bad_rows)
-    return run.readings()
+    file = Path(given) if run is None else run.folder / IMPORTED
+    return read_csv(file, installations, skip_bad_rows=skip_bad_rows)
 
 
 def _of_model_file(
