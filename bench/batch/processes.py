@@ -95,14 +95,13 @@ class _Pool:
                     worker.wire.send(run)
         for worker in [w for w in self._workers if w.ready and not w.at_hand and w.given >= self._recycled]:
             self._let_go(worker)
-        while len(self._workers) < self._count and self._there_is_more(self._waiting_workers() + 1):
+        while len(self._workers) < self._count:
+            if not self._there_is_more(1 + sum(not worker.ready for worker in self._workers)):
+                break
             self._begin()
         if not any(worker.at_hand for worker in self._workers) and not self._there_is_more(1):
             return False
         return bool(self._workers)
-
-    def _waiting_workers(self) -> int:
-        return sum(not worker.ready for worker in self._workers)
 
     def _take(self) -> str | None:
         if self._again:

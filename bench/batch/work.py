@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
+from math import isnan
 from pathlib import Path
 from threading import Lock
 from typing import Any, Final
@@ -154,7 +155,7 @@ def _verdicts(before: VerdictValues | None, now: VerdictValues | None) -> Row:
 
 
 def _diagnosed(source: Source) -> Row:
-    found = _diagnosis(source)
+    found = diagnosis_of(body_of([source])).to_dict()
     now, stored = Named.of_file(found), stored_diagnosis(Path(source.name))
     before = stored.diagnosis
     row: Row = {
@@ -176,10 +177,6 @@ def _diagnosed(source: Source) -> Row:
         "gap_before_stored": before.before,
         "gap_after_stored": before.after,
     }
-
-
-def _diagnosis(source: Source) -> dict[str, Any]:
-    return diagnosis_of(body_of([source])).to_dict()
 
 
 # --- earlier results, and what changed ----------------------------------------------------------------
@@ -325,7 +322,8 @@ def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
     if before.unit != now.unit:
         return row
     change = change_in_u(before, now)
-    row |= {f"{name}_change_in_u": _known(x) for name, x in zip(COEFFICIENTS, change, strict=True)}
+    known = (None if isnan(x) else x for x in change.tolist())
+    row |= {f"{name}_change_in_u": x for name, x in zip(COEFFICIENTS, known, strict=True)}
     if not np.all(np.isnan(change)):
         largest = int(np.nanargmax(np.abs(change)))
         row |= {
@@ -359,7 +357,3 @@ def _columns(found: CalibrationValues, suffix: str) -> Row:
         **{f"{name}{suffix}": x for name, x in zip(COEFFICIENTS, found.values.tolist(), strict=True)},
         **{f"u_{name}{suffix}": x for name, x in zip(COEFFICIENTS, found.u.tolist(), strict=True)},
     }
-
-
-def _known(x: float) -> float | None:
-    return None if np.isnan(x) else float(x)

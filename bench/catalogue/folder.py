@@ -241,7 +241,7 @@ def _rows(folder: Path, *, whole: bool) -> dict[str, list[Row]]:
     unit: Any = manifest.get("unit_under_test") or {}
     imported = "imported" in manifest
     results = _results(folder, run, record)
-    said = {**_text_or_none(unit, "type", "serial")}
+    said = {name: text_of(unit.get(name)) for name in ("type", "serial")}
     stated = said if any(said.values()) else _block_of(bench)
     whole_unit = " ".join(word for word in (stated["type"], stated["serial"]) if word) or None
     row = {
@@ -261,7 +261,7 @@ def _rows(folder: Path, *, whole: bool) -> dict[str, list[Row]]:
         "unit_type": stated["type"],
         "serial": stated["serial"],
         "unit": whole_unit,
-        "bench": bench.name if bench else _bench_named(results),
+        "bench": bench.name if bench else results.get("bench"),
         "bench_sha256": bench_sha256,
         "temperature_c": record.temperature_c,
         "readings": int(manifest.get("readings", 0)) if imported else len(record.steps),
@@ -393,15 +393,6 @@ def _loaded(digest: str, file: str) -> BenchFile | None:
 def _block_of(bench: BenchFile | None) -> dict[str, str | None]:
     unit = bench.unit_under_test if bench else None
     return {"type": (unit.type or None) if unit else None, "serial": (unit.serial or None) if unit else None}
-
-
-def _bench_named(results: dict[str, Any]) -> str | None:
-    """Return the name of the bench in a result, for runs whose bench file cannot be read."""
-    return results.get("bench")
-
-
-def _text_or_none(data: Any, *names: str) -> dict[str, str | None]:
-    return {name: text_of(data.get(name)) for name in names}
 
 
 def _number(value: Any) -> float | None:

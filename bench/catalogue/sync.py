@@ -102,7 +102,8 @@ def sync(
     done = Synced()
     with catalogue.reading() as connection:
         known = _known(connection, roots, unread)
-        proved = _proved(connection) if whole else None
+        read = select(RUNS.c.id).where(RUNS.c.record == "read") if whole else None
+        proved = None if read is None else set(connection.execute(read).scalars())
     waiting, back = [], []
     for path, mark in sorted(seen.runs.items()):
         row = known.get(path)
@@ -214,11 +215,6 @@ def _known(connection: Connection, roots: Sequence[str], unread: set[str]) -> di
     for path in unread & found.keys():
         found[path]["fingerprint"] = ""
     return found
-
-
-def _proved(connection: Connection) -> set[int]:
-    """Return the keys of the runs whose every event was read."""
-    return set(connection.execute(select(RUNS.c.id).where(RUNS.c.record == "read")).scalars())
 
 
 def _read(waiting: list[tuple[str, str]], whole: bool, processes: int) -> Iterator[FolderEntry]:

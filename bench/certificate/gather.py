@@ -235,7 +235,8 @@ def _ended(run: Run) -> str:
 
 
 def _conditions(source: Source) -> Iterator[Condition]:
-    used = _used(source.readings)
+    readings = source.readings
+    used = readings.select(readings.is_oriented | (readings.installation == VERIFICATION))
     told = sorted({text for text in used.extra.get(TEMPERATURE_SOURCE, ()) if text})
     span = _span(used.temperature_c)
     if span is not None:
@@ -270,10 +271,6 @@ def _of_temperature(source: Source) -> tuple[float, str]:
     if thermometer is None:
         return band.u, of_band
     return math.hypot(band.u, thermometer.u), f"{of_band}; {thermometer.origin}"
-
-
-def _used(readings: Readings) -> Readings:
-    return readings.select(readings.is_oriented | (readings.installation == VERIFICATION))
 
 
 def _numbers(readings: Readings, column: str) -> Any:
@@ -332,12 +329,9 @@ def _without_folders(told: Any, run: Run) -> Any:
     if isinstance(told, dict):
         return {name: _without_folders(value, run) for name, value in told.items()}
     if isinstance(told, list):
-        return [_without_folders(value, run) for value in told] if told and _has_text(told) else told
+        has_text = any(isinstance(one, str | dict | list) for one in told)
+        return [_without_folders(value, run) for value in told] if has_text else told
     return _plain(told, run) if isinstance(told, str) else told
-
-
-def _has_text(told: list[Any]) -> bool:
-    return any(isinstance(one, str | dict | list) for one in told)
 
 
 def _plain(text: str, run: Run) -> str:

@@ -48,6 +48,7 @@ def data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
     # a draft is of the day on which the run ended: a PDF/A has a date, and not the clock's
     day = day_of(certificate.found.ended if issue is None else issue.issued) or date(1970, 1, 1)
     attached = attachments_of(certificate, dcc)
+    listed = [(one.name, one.description, sha256(one.content).hexdigest()) for one in attached]
     told = {
         "languages": [text.language for text in certificate.texts],
         "title": f"{title[0]} {certificate.number}".strip(),
@@ -67,7 +68,7 @@ def data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
         "front": _front(certificate, write),
         "signed": _signed(certificate, write),
         "terms": [write.say(key) for key in certificate.terms],
-        "proof": proof.pages(certificate, write, [_listed(one) for one in attached]),
+        "proof": proof.pages(certificate, write, listed),
         "attached": [
             {
                 "name": one.name,
@@ -79,10 +80,6 @@ def data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
         ],
     }
     return {**plain(told), "logo": _logo(certificate)}
-
-
-def _listed(file: Attached) -> tuple[str, str, str]:
-    return file.name, file.description, sha256(file.content).hexdigest()
 
 
 def _letter_head(certificate: Certificate, write: Writer) -> list[str]:

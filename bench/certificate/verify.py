@@ -125,22 +125,16 @@ class Verdict:
     def result(self) -> VerifyResult:
         """Return the result of `bench certificate verify`; it has the certificate's values only if intact."""
         says = self.shown.says if self.shown is not None and self.intact else None
-        return VerifyResult(
-            file=self.file,
+        return VerifyResult.from_object(
+            self,
             verdict=self.headline,
-            intact=self.intact,
             trusted=None if self.why_not_trusted is None else not self.why_not_trusted,
-            why_not_trusted=self.why_not_trusted,
-            wrong=self.wrong,
-            agreed=self.agreed,
             signer=SignerPart(
                 name=self.signer, certificate_sha256=self.fingerprint, signed_at=self.signed_at
             ),
             signed=None if self.unsigned else says,
             unsigned=says if self.unsigned else None,
             register_=self.standing,
-            not_signed=self.not_signed,
-            not_proved=self.not_proved,
         )
 
 

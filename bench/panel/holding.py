@@ -136,7 +136,7 @@ def change(
     if word not in WORDS:
         raise Refusal(400, f"ask for one of {', '.join(WORDS)}")
     path = folder / JOURNAL
-    with _lock(folder):
+    with FileLock(folder / f".{JOURNAL}.lock", mode=0o600):
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
         with os.fdopen(descriptor, "r+b", buffering=0) as file:
             text = file.read()
@@ -154,10 +154,6 @@ def change(
             file.write(in_json(json.dumps(line, ensure_ascii=False)).encode() + b"\n")
             os.fsync(descriptor)
     return before.after(WORDS[word], person.name, to, line["at"])
-
-
-def _lock(folder: Path) -> FileLock:
-    return FileLock(folder / f".{JOURNAL}.lock", mode=0o600)
 
 
 def _checked(holding: Holding, word: str, person: Person, to: str) -> str:

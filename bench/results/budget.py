@@ -254,18 +254,11 @@ def budget_result(
 
 def _source_part(contribution: Contribution) -> SourcePart:
     source = contribution.source
-    return SourcePart(
-        symbol=source.symbol,
-        u=source.u,
-        unit=source.unit,
-        shown=source.shown,
+    return SourcePart.from_object(
+        source,
         limit=source.distribution.limit,
         distribution=source.distribution.shape,
         common_to=source.common,
-        group=source.group,
-        dof=source.dof,
-        prior=source.prior,
-        origin=source.origin,
         contribution_u=contribution.u,
         covariance=contribution.covariance,
         correlation=correlation_of(contribution.covariance),
@@ -441,7 +434,9 @@ def render_budget(result: BudgetResult) -> str:
         "budget.html.j2",
         result=result,
         headings=["source", *(tables.symbol(name) for name in result.order)],
-        coefficients=[_spaced(row) for row in (*_by_source(result), *_combined(result))],
+        coefficients=[
+            replace(row, head=row.head.replace("_", " ")) for row in (*_by_source(result), *_combined(result))
+        ],
         sources=[
             Row(
                 f"{name.replace('_', ' ')} ({one.symbol})",
@@ -494,10 +489,6 @@ class BudgetFigure:
 def figures(result: BudgetResult) -> tuple[BudgetFigure, ...]:
     """Return the figures of a budget's result."""
     return contributions(result), modulus(result)
-
-
-def _spaced(row: Row) -> Row:
-    return replace(row, head=row.head.replace("_", " "))
 
 
 def contributions(result: BudgetResult) -> BudgetFigure:

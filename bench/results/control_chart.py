@@ -177,11 +177,8 @@ class CheckBlockChart:
     def result(self) -> ChartResult:
         """The result as `bench chart --json` writes it."""
         chart, design, centre = self.chart, self.chart.design, self.chart.centre
-        return ChartResult(
-            block=self.block,
-            unit=self.unit,
-            g_m_s2=self.g_m_s2,
-            simulated=self.simulated,
+        return ChartResult.from_object(
+            self,
             design=DesignPart.from_object(design, arl_of_each=design.each_arl, limits_from=design.basis),
             baseline=[run.name for run in chart.baseline],
             reference=None if chart.reference is None else chart.reference.name,

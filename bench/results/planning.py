@@ -52,10 +52,8 @@ class LimitPart(ResultModel):
     def of_limit(cls, found: Limit, **part: float) -> LimitPart:
         """Return a limit as the result has it."""
         source = found.source
-        return cls(
-            name=source.name,
-            symbol=source.symbol,
-            unit=source.unit,
+        return cls.from_object(
+            source,
             verdict=found.verdict,
             u=None if found.stated is None else found.u,
             limit=found.stated,
@@ -240,21 +238,16 @@ def plan_points_result(
         time_s=points.time_s,
         reached=points.reached if asked else None,
         goals=[
-            GoalPart(
-                name=goal.name,
-                unit=goal.unit,
-                asked_u=goal.asked if asked else None,
-                u=points.u(goal),
-                u_paper=u_paper[goal.name],
+            GoalPart.from_object(
+                goal, asked_u=goal.asked if asked else None, u=points.u(goal), u_paper=u_paper[goal.name]
             )
             for goal in points.worst_by_name()
         ],
         points=[
-            PointPart(
+            PointPart.from_object(
+                s,
                 installation=s.mount.installation,
                 series=s.mount.series,
-                pass_number=s.pass_number,
-                point=s.point,
                 angle_deg=round(math.degrees(s.angle_rad), 9),
                 direction=1 if s.direction > 0 else -1,
             )

@@ -115,7 +115,7 @@ def check_values(run: Run) -> CheckValues:
     values = _of(run, calibration_of(source))
     with contextlib.suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(file, json.dumps(_to_json(values)))
+        write_whole(file, json.dumps(vars(values), default=_to_json))
     return values
 
 
@@ -142,29 +142,18 @@ def _of(run: Run, result: CalibrationResult) -> CheckValues:
     )
 
 
-_ARRAYS: Final = ("value", "readings", "noise", "meters_limits")
-
-
-def _to_json(values: CheckValues) -> dict[str, Any]:
-    own = dict(vars(values))
-    own |= {name: own[name].tolist() for name in _ARRAYS}
-    own |= {
-        "when": values.when.isoformat(),
-        "meters": list(values.meters),
-        "sources": {name: one.tolist() for name, one in values.sources.items()},
-    }
-    return own
+def _to_json(value: Any) -> Any:
+    """Return a part of the values that JSON has no form of: an array, a time."""
+    return value.tolist() if isinstance(value, np.ndarray) else value.isoformat()
 
 
 def _from_json(data: dict[str, Any]) -> CheckValues:
-    own = dict(data)
-    own |= {name: np.array(own[name]) for name in _ARRAYS}
-    own |= {
-        "when": datetime.fromisoformat(own["when"]),
-        "meters": tuple(own["meters"]),
-        "sources": {name: np.array(one) for name, one in own["sources"].items()},
-    }
-    return CheckValues(**own)
+    arrays = {name: np.array(data[name]) for name in ("value", "readings", "noise", "meters_limits")}
+    sources = {name: np.array(one) for name, one in data["sources"].items()}
+    when = datetime.fromisoformat(data["when"])
+    return CheckValues(
+        **{**data, **arrays, "sources": sources, "when": when, "meters": tuple(data["meters"])}
+    )
 
 
 RESULT_FILE: Final = ".json"
@@ -287,7 +276,11 @@ def _parts(
             raise Refused("check_block: reference: one result of 'bench calibrate --json', or runs; not both")
         return [], runs, _reference((of_bench or Path()).parent / files[0], g_m_s2)
     if section.reference:
-        named = [_named(name, taken, section, folder, g_m_s2) for name in section.reference]
+        named = [
+            taken.get(name)
+            or check_values(find_run(name, folder)).per(g_m_s2).check_run(section.between_runs)
+            for name in section.reference
+        ]
         names = {run.name for run in named}
         return named, [run for run in runs if run.name not in names], None
     days = section.baseline_days
@@ -315,12 +308,6 @@ def _begun(runs: Sequence[CheckRun], section: CheckBlockSection) -> tuple[list[C
         fits = control_chart(baseline, [run], design, drift=_drift(section)).in_control
         (baseline if fits else later).append(run)
     return baseline, [*later, *runs[1:][-1:]]
-
-
-def _named(
-    name: str, taken: dict[str, CheckRun], section: CheckBlockSection, folder: Path, g_m_s2: float
-) -> CheckRun:
-    return taken.get(name) or check_values(find_run(name, folder)).per(g_m_s2).check_run(section.between_runs)
 
 
 def _reference(path: Path, g_m_s2: float) -> Reference:

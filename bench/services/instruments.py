@@ -121,16 +121,7 @@ class InstrumentLook:
     @property
     def part(self) -> InstrumentPart:
         """The row as the result has it."""
-        return InstrumentPart(
-            name=self.name,
-            address=self.address,
-            identity=self.identity,
-            settings=self.settings,
-            self_test=self.self_test,
-            value=self.value,
-            shows=self.shows,
-            failures=[FailurePart(cause=f.cause, remedy=f.remedy) for f in self.failures],
-        )
+        return InstrumentPart.from_object(self, failures=[FailurePart.from_object(f) for f in self.failures])
 
 
 def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -> list[InstrumentLook]:

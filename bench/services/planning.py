@@ -273,7 +273,14 @@ def _remarks(points: ChosenPoints, bench: BenchFile, *, asked: bool) -> str:
 
 
 def budget_of(request: Budget) -> BudgetResult:
-    """Return the budget of a bench. Raises `Refused`, `CalibrationError`, `FileMistakes`."""
+    """Return what each error of a bench contributes to the coefficients and to any measured acceleration.
+
+    `procedure` says which readings a calibration is of, `coefficients` (a result of `bench calibrate --json`)
+    of which block, `trials` how many Monte Carlo trials judge the linear result (0: none), `limit` the limit of
+    Δg in g and `rule` ("simple", "guarded" or "non-binary", with `guard_band` in U) how it is judged, the bench
+    file's unless given; `same_voltmeters` that the block is used with those of the calibration, `g` local gravity
+    in m/s². Raises `Refused`, `CalibrationError`, `FileMistakes`.
+    """
     check_gravity(request.g)
     estimator = in_a_budget(request.estimator).name
     if request.trials:
@@ -297,19 +304,7 @@ def budget_of(request: Budget) -> BudgetResult:
     )
 
 
-def _budget(request: Budget) -> BudgetResult:
-    """Return what each error of a bench contributes to the coefficients and to any measured acceleration.
-
-    `procedure` says which readings a calibration is of, `coefficients` (a result of `bench calibrate --json`)
-    of which block, `trials` how many Monte Carlo trials judge the linear result (0: none), `limit` the limit of
-    Δg in g and `rule` ("simple", "guarded" or "non-binary", with `guard_band` in U) how it is judged, the bench
-    file's unless given; `same_voltmeters` that the block is used with those of the calibration, `g` local gravity
-    in m/s². Raises `Refused`, `CalibrationError`, `FileMistakes`.
-    """
-    return budget_of(request)
-
-
-budget = python_call(Budget, _budget)
+budget = python_call(Budget, budget_of, "budget")
 
 
 def _check_trials(trials: int) -> None:
@@ -402,12 +397,10 @@ def requirements(request: Require) -> Requirements:
     # what was not counted adds by itself: other sources, and the reading in use
     whole = replace(asked, sources=tuple(every), target=_target(request, file, reading=True)[0])
     reached, shares = asked.reached(), asked.shares()
-    result = RequireResult(
-        of=of,
-        up_to=request.up_to,
+    result = RequireResult.from_object(
+        request,
         accuracy=accuracy,
         unit=unit,
-        k=request.k,
         bench=file.name,
         bench_file=taken.part(),
         procedure=plan.name,
@@ -419,7 +412,6 @@ def requirements(request: Require) -> Requirements:
             LimitPart.of_limit(asked.alone(source), part=shares[source.name])
             for source in tracked(sources, "limits of the errors")
         ],
-        share=request.share,
         together=[LimitPart.of_limit(limit) for limit in together],
         why_not_together=why_not_together,
         alternatives=list(_alternatives(asked, file, plan)),

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from bench.base.computing import versions
 from bench.base.text import repeated
@@ -443,16 +443,12 @@ def each(loaded: Sequence[Source | Failed], work: Callable[[Source], R]) -> list
 
 def done(results: Iterable[T | Failed]) -> list[T]:
     """Return the results that are no `Failed`."""
-    return [one for one in results if _is_done(one)]
+    return [one for one in results if not isinstance(one, Failed)]
 
 
 def failures(results: Iterable[object]) -> list[Failed]:
     """Return the results that are a `Failed`."""
     return [one for one in results if isinstance(one, Failed)]
-
-
-def _is_done(one: T | Failed) -> TypeGuard[T]:
-    return not isinstance(one, Failed)
 
 
 # --- where the numbers come from, for the record and the page ------------------------------------------

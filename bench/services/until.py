@@ -170,7 +170,8 @@ def chooser_of(
     try:
         whole = stand_of(bench, model, learned.known)
         # of an angle whose size nobody stated the readings' own uncertainty holds nothing
-        silent = {name for name in assumed_stand(bench) if not _is_told(name, learned)}
+        told = set() if learned.known is None else {kind for kind, _ in learned.known.keys}
+        silent = assumed_stand(bench).keys() - told
         stated = {name: u for name, u in whole.sizes.items() if name not in silent}
         stand = replace(whole, sizes=stated, hidden=())
         aim = stated_aim(texts, stand, bench)
@@ -183,11 +184,6 @@ def chooser_of(
         return Chooser(pool, aim, by)
     except CalibrationError as reason:
         raise Refused(f"--until {', '.join(texts)}: {reason}") from None
-
-
-def _is_told(name: str, learned: LearnedTaken) -> bool:
-    """Return whether the size of this name was learned from runs."""
-    return learned.known is not None and name in {kind for kind, _ in learned.known.keys}
 
 
 def _refuse_below_floor(found: Sequence[Floor]) -> None:

@@ -281,11 +281,6 @@ def _at(element: Node, text: str) -> str:
     return f"line {element.sourceline}, {local(element)}: {text}"
 
 
-def _elements(root: Node) -> Iterator[Node]:
-    """Yield the elements to check: all but signatures."""
-    yield from root.iter(f"{{{DCC}}}*", f"{{{SI}}}*")
-
-
 def _version(root: Node) -> Iterator[str]:
     """Yield a fault unless the document is a DCC of the version written here."""
     if root.tag != f"{{{DCC}}}digitalCalibrationCertificate" or root.get("schemaVersion") != VERSION:
@@ -295,7 +290,7 @@ def _version(root: Node) -> Iterator[str]:
 def _languages(root: Node) -> Iterator[str]:
     """Yield a fault for each text that is not given in all languages."""
     used = {one.text for one in root.iter(f"{{{DCC}}}usedLangCodeISO639_1")}
-    for element in _elements(root):
+    for element in root.iter(f"{{{DCC}}}*", f"{{{SI}}}*"):
         said = [one.get("lang") for one in element.findall("dcc:content", NAMESPACES)]
         spoken = {language for language in said if language is not None}
         if spoken and spoken != used:

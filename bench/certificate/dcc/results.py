@@ -13,7 +13,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import Floats
-from bench.calibration import Verification, VerificationPoint
+from bench.calibration import Verification
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.conformity import Statement
 from bench.certificate.content import (
@@ -245,7 +245,7 @@ def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
     delta = real_list(
         [p.delta_g for p in points],
         one,
-        [_place(p) for p in points],
+        [f"pass{p.pass_number}-point{p.point}" for p in points],
         ([p.U for p in points], [p.k for p in points], coverage),
         ellipsoidal(covariance.tolist(), one, region_factor(coverage[0], len(points)), coverage[0]),
     )
@@ -271,10 +271,6 @@ def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
         _quantity(said(texts, "limit"), real(verification.limit_g, nodes.ONE), "limit"),
         *(_quantity(said(texts, key), real(p, nodes.ONE), key) for key, p in risks.items() if p is not None),
     )
-
-
-def _place(point: VerificationPoint) -> str:
-    return f"pass{point.pass_number}-point{point.point}"
 
 
 def _quantity(name: Node | Sequence[Node], quantity: Node, ref: str) -> Node:

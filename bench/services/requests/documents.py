@@ -9,9 +9,14 @@ from typing import Annotated
 
 from bench.base.requests import Option
 from bench.services.requests.shared import (
+    EstimatorField,
     GuardBandField,
+    JoinFreeField,
+    JoinVerificationField,
     LimitField,
+    NominalField,
     OnReadings,
+    PopulationField,
     RuleField,
     RunField,
     RunsField,
@@ -133,10 +138,10 @@ class Batch(OnReadings):
 class BatchCalibrate(Batch):
     """Coefficients and verdicts of many runs anew."""
 
-    estimator: Annotated[str, Option("The estimators.")] = "gls"
-    nominal_angles: Annotated[bool, Option("Target angles in place of those read back.")] = False
-    join_free: Annotated[bool, Option("Free positions (F) join the fit by |a| = 1 g.")] = True
-    join_verification: Annotated[bool, Option("So do verification points; they check nothing then.")] = False
+    estimator: EstimatorField = "gls"
+    nominal_angles: NominalField = False
+    join_free: JoinFreeField = True
+    join_verification: JoinVerificationField = False
     limit: LimitField = None
     rule: RuleField = None
     guard_band: GuardBandField = None
@@ -157,12 +162,7 @@ class BatchReport(Batch):
     limit: LimitField = None
     rule: RuleField = None
     guard_band: GuardBandField = None
-    population: Annotated[
-        tuple[float, float] | None,
-        Option(
-            "Mean and standard deviation of Δg over many blocks, g: they enter the risks.", metavar="MEAN SD"
-        ),
-    ] = None
+    population: PopulationField = None
 
 
 # --- certificates -------------------------------------------------------------------------------------

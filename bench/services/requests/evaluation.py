@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
-from bench.base.requests import ESTIMATORS_TOLD, Option
+from bench.base.requests import Option
 from bench.services.requests.shared import (
     Data,
     Effects,
+    EstimatorField,
     GuardBandField,
+    JoinFreeField,
+    JoinVerificationField,
     LimitField,
     ModelField,
+    NominalField,
     OnReadings,
+    PopulationField,
     RuleField,
 )
 
@@ -33,16 +38,15 @@ Given = str | Path | Calibrated | None
 SourceField = Annotated[
     Data, Option("Run (name or path) or readings file.", argument=True, completes="sources", typed=str)
 ]
-SeveralField = Annotated[
-    Data,
-    Option(
-        "Runs (name or path) or readings files.",
-        metavar="SOURCE…",
-        argument=True,
-        completes="sources",
-        typed=str,
-    ),
-]
+_SOURCES = Option(
+    "Runs (name or path) or readings files.",
+    metavar="SOURCE…",
+    argument=True,
+    completes="sources",
+    typed=list[str],
+)
+SourcesField = Annotated[Sequence[Data], _SOURCES]
+SeveralField = Annotated[Data, replace(_SOURCES, typed=str)]
 
 
 @dataclass(frozen=True)
@@ -53,10 +57,10 @@ class Calibrate(OnReadings):
     _: KW_ONLY
     model: ModelField = None
     effects: Effects = None
-    estimator: Annotated[str, Option(ESTIMATORS_TOLD)] = "gls"
-    nominal_angles: Annotated[bool, Option("Target angles in place of those read back.")] = False
-    join_free: Annotated[bool, Option("Free positions (F) join the fit by |a| = 1 g.")] = True
-    join_verification: Annotated[bool, Option("So do verification points; they check nothing then.")] = False
+    estimator: EstimatorField = "gls"
+    nominal_angles: NominalField = False
+    join_free: JoinFreeField = True
+    join_verification: JoinVerificationField = False
     prior: Annotated[
         str | Path | None,
         Option(
@@ -79,12 +83,7 @@ class Judging(OnReadings):
     limit: LimitField = None
     rule: RuleField = None
     guard_band: GuardBandField = None
-    population: Annotated[
-        tuple[float, float] | None,
-        Option(
-            "Mean and standard deviation of Δg over many blocks, g: they enter the risks.", metavar="MEAN SD"
-        ),
-    ] = None
+    population: PopulationField = None
 
 
 @dataclass(frozen=True)
@@ -138,18 +137,6 @@ class Coefficients(OnReadings):
             metavar="X,Y,Z",
         ),
     ] = None
-
-
-SourcesField = Annotated[
-    Sequence[Data],
-    Option(
-        "Runs (name or path) or readings files.",
-        metavar="SOURCE…",
-        argument=True,
-        completes="sources",
-        typed=list[str],
-    ),
-]
 
 
 @dataclass(frozen=True)
@@ -208,16 +195,7 @@ class Diagnose(OnReadings):
     With `write` everything is written that `bench diagnose` writes: beside the source, or into `out`.
     """
 
-    source: Annotated[
-        Data | Sequence[Data],
-        Option(
-            "Runs (name or path) or readings files.",
-            metavar="SOURCE…",
-            argument=True,
-            completes="sources",
-            typed=list[str],
-        ),
-    ]
+    source: Annotated[Data | Sequence[Data], _SOURCES]
     _: KW_ONLY
     one_block: Annotated[
         bool | None,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from bench.base.requests import Option
+from bench.base.requests import ESTIMATORS_TOLD, Option
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -81,6 +81,14 @@ GuardBandField = Annotated[
     float | None,
     Option("Guard band of the rule: w = R U (default: the bench file's, or that of the rule).", metavar="R"),
 ]
+PopulationField = Annotated[
+    tuple[float, float] | None,
+    Option("Mean and standard deviation of Δg over many blocks, g: they enter the risks.", metavar="MEAN SD"),
+]
+EstimatorField = Annotated[str, Option(ESTIMATORS_TOLD)]
+NominalField = Annotated[bool, Option("Target angles in place of those read back.")]
+JoinFreeField = Annotated[bool, Option("Free positions (F) join the fit by |a| = 1 g.")]
+JoinVerificationField = Annotated[bool, Option("So do verification points; they check nothing then.")]
 UntilField = Annotated[
     list[str] | None,
     Option(
