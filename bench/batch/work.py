@@ -155,7 +155,7 @@ def _verdicts(before: VerdictValues | None, now: VerdictValues | None) -> Row:
 
 
 def _diagnosed(source: Source) -> Row:
-    found = diagnosis_of(body_of([source])).to_dict()
+    found = _diagnosis(source)
     now, stored = Named.of_file(found), stored_diagnosis(Path(source.name))
     before = stored.diagnosis
     row: Row = {
@@ -177,6 +177,10 @@ def _diagnosed(source: Source) -> Row:
         "gap_before_stored": before.before,
         "gap_after_stored": before.after,
     }
+
+
+def _diagnosis(source: Source) -> dict[str, Any]:
+    return diagnosis_of(body_of([source])).to_dict()
 
 
 # --- earlier results, and what changed ----------------------------------------------------------------

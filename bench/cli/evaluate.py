@@ -140,7 +140,7 @@ def coefficients(request: Coefficients, json: JsonOption = None, out: OutOption 
     asked_for = out is not None or bool(request.forms)
     for one in given:
         if one.source is not None:
-            printing.bench_file(one.source.taken, json, one.source.name if len(given) > 1 else "")
+            printing.bench_file(one.source.taken.part(), json, one.source.name if len(given) > 1 else "")
         print_coefficients(one.result, on)
         for form in forms:
             file = one.file(form.suffix)

@@ -60,12 +60,11 @@ def compare(
     on = printing.console(json=json)
     print_benches(result, on)
     if out is not None:
-        for what, name, text in (
-            ("result", "fleet-compare.json", to_text(result.to_dict())),
-            ("figure", "equivalence.svg", equivalence_figure(found)),
-        ):
-            printing.write_beside(out / name, text, asked=True)
-            printing.written(what, out / name, on)
+        files = (
+            ("result", out / "fleet-compare.json", to_text(result.to_dict())),
+            ("figure", out / "equivalence.svg", equivalence_figure(found)),
+        )
+        printing.write_files(files, on, asked=True)
     printing.write_json([result.to_dict()], json)
     return 1 if strict and result.apart else 0
 

@@ -54,12 +54,11 @@ def compare(
 
     found = compared(request)
     for source, taken in found.taken:
-        printing.bench_file(taken, json, source)
+        printing.bench_file(taken.part(), json, source)
     on = printing.console(json=json)
     print_compare(found.result, on)
-    for what, file, text in found.files(out) if out is not None else ():
-        printing.write_beside(file, text, asked=True)
-        printing.written(what, file, on)
+    if out is not None:
+        printing.write_files(found.files(out), on, asked=True)
     printing.write_json([found.result.to_dict()], json)
     return 1 if strict and found.result.changed else 0
 
@@ -111,11 +110,9 @@ def stability(request: Stability, json: JsonOption = None, out: OutOption = None
     with printing.progress():
         found = at_rest(request)
     on = printing.console(json=json)
-    printing.bench_file(found.taken, json)
+    printing.bench_file(found.taken.part(), json)
     printing.notes_on(on, found.notes)
     print_stability(found.found, on)
-    for what, file, text in found.files(out):
-        if printing.write_beside(file, text, asked=out is not None):
-            printing.written(what, file, on)
+    printing.write_files(found.files(out), on, asked=out is not None)
     printing.write_json([found.result.to_dict()], json)
     return 0 if all(average.reached for average in found.found.averages) else 1

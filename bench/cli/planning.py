@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from bench.results.budget import BudgetResult
     from bench.results.check import Findings
-    from bench.results.parts import BenchPart
 
 
 @app.command(epilog="Example: bench check calibration --bench my-bench.yaml")
@@ -90,7 +89,7 @@ def budget(request: Budget, json: JsonOption = None, out: OutOption = None) -> i
         from bench.services.planning import budget_of
 
         found = budget_of(request)
-    _say_bench(found.bench_file, json)
+    printing.bench_file(found.bench_file, json)
     printing.write_json([found.to_dict()], json)
     if out is not None:
         _write_page(out, found, printing.console(json=json))
@@ -123,7 +122,7 @@ def require(request: Require, json: JsonOption = None) -> int:
         from bench.services.planning import requirements
 
         found = requirements(request)
-    _say_bench(found.result.bench_file, json)
+    printing.bench_file(found.result.bench_file, json)
     found.print_on(printing.console(json=json))
     printing.write_json([found.result.to_dict()], json)
     return 0 if found.result.kept else 1
@@ -137,13 +136,7 @@ def plan_points(request: PlanPoints, json: JsonOption = None) -> int:
         from bench.services.planning import planned
 
         found = planned(request)
-    _say_bench(found.result.bench_file, json)
+    printing.bench_file(found.result.bench_file, json)
     found.print_on(printing.console(json=json))
     printing.write_json([found.result.to_dict()], json)
     return 1 if found.result.reached is False else 0
-
-
-def _say_bench(bench: BenchPart, json: str | None) -> None:
-    """Say first which bench file is taken, and why that one."""
-    if json != "-":
-        printing.console().print(f"bench file: {bench.words} ({bench.file})")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.services.bench_selection import BenchTaken
+    from bench.results.parts import BenchPart
     from bench.services.calibration import CalibrationResult
     from bench.services.source import Source
     from bench.services.verification import VerdictOptions, VerificationResult
@@ -123,6 +123,13 @@ def write_result(
     return file if write_beside(file, to_text(result), asked=source.request.out is not None) else None
 
 
+def write_files(files: Iterable[tuple[str, Path, str | bytes]], out: Console, *, asked: bool) -> None:
+    """Write derived files, each with what it is, and say where; as `write_beside`."""
+    for what, file, text in files:
+        if write_beside(file, text, asked=asked):
+            written(what, file, out)
+
+
 def written(what: str, file: Path, out: Console | None = None) -> None:
     """Say where a file was written; of a what-if, that the run's own stands as it was."""
     from bench.services.source import WHAT_IF
@@ -134,22 +141,20 @@ def written(what: str, file: Path, out: Console | None = None) -> None:
 # --- what a result is made with ---------------------------------------------------------------------
 
 
-def bench_file(taken: BenchTaken, json: str | None, of: str = "") -> None:
+def bench_file(taken: BenchPart, json: str | None, of: str = "") -> None:
     """Say first which bench file is taken, and why that one; `of` which readings, where there are several.
 
     Where the result goes to standard output (`json` is "-"), it says it by itself, and errors stay alone.
     """
     if json != "-":
-        console().print(f"bench file{of and f' of {of}'}: {taken.file.name}, {taken.reason} ({taken.where})")
+        console().print(f"bench file{of and f' of {of}'}: {taken.words} ({taken.file})")
 
 
 def bench_files(sources: Sequence[Source], json: str | None) -> None:
     """Say first which bench file is taken for each source, in one line where it is one for all."""
-    if len({source.taken.where for source in sources}) == 1:
-        bench_file(sources[0].taken, json)
-        return
-    for source in sources:
-        bench_file(source.taken, json, source.name)
+    one = len({source.taken.where for source in sources}) == 1
+    for source in sources[:1] if one else sources:
+        bench_file(source.taken.part(), json, "" if one else source.name)
 
 
 # --- results that several commands print ------------------------------------------------------------

@@ -119,7 +119,7 @@ def import_(request: ImportReadings) -> int:
     out = printing.console()
 
     def announce(taken: BenchTaken, notes: Sequence[str]) -> None:
-        printing.bench_file(taken, None)
+        printing.bench_file(taken.part(), None)
         printing.notes_on(out, notes)
 
     run = import_readings(request, announce)

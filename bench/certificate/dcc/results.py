@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from lxml import etree
 from scipy import special
 
 from bench.base.arrays import Floats
@@ -346,9 +347,6 @@ def _table(texts: Sequence[Texts], readings: Readings) -> Node:
     )
 
 
-_DCC: Final = "https://ptb.de/dcc"
-_NAMES: Final = {"dcc": _DCC, "si": "https://ptb.de/si"}
-_ROOT: Final = f"{{{_DCC}}}digitalCalibrationCertificate"
 _CORE: Final = "dcc:administrativeData/dcc:coreData"
 _RESULTS: Final = "dcc:measurementResults/dcc:measurementResult/dcc:results/dcc:result"
 _COEFFICIENTS: Final = f"{_RESULTS}[@refType='bench_coefficients']"
@@ -373,21 +371,19 @@ class ShownValues:
 
 def shown_of(content: bytes) -> ShownValues:
     """Return the values in the XML `content`. Raises `NotIntact` if it is no DCC."""
-    from lxml import etree
-
-    root = etree.fromstring(content, etree.XMLParser(resolve_entities=False, no_network=True))
-    if root.tag != _ROOT:
+    root = etree.fromstring(content, nodes.parser())
+    if root.tag != nodes.tag("dcc:digitalCalibrationCertificate"):
         raise NoCertificate("it is no digital calibration certificate (DCC)")
     administrative = "dcc:administrativeData"
     covariance, coefficients = _coefficients(root)
-    files = dict(_file(one) for one in _all(root, ".//dcc:byteData"))
+    files = dict(_file(one) for one in root.findall(".//dcc:byteData", nodes.NAMESPACES))
     says = CertificateSays(
         number=_text(root, f"{_CORE}/dcc:uniqueIdentifier"),
         laboratory=_text(
             root, f"{administrative}/dcc:calibrationLaboratory/dcc:contact/dcc:name/dcc:content"
         ),
         customer=_text(root, f"{administrative}/dcc:customer/dcc:name/dcc:content"),
-        items=[_item(one) for one in _all(root, f"{administrative}/dcc:items/dcc:item")],
+        items=[_item(one) for one in root.findall(f"{administrative}/dcc:items/dcc:item", nodes.NAMESPACES)],
         calibrated=[_text(root, f"{_CORE}/dcc:{end}PerformanceDate") for end in ("begin", "end")],
         issued=_text(root, f"{_CORE}/dcc:issueDate"),
         authorised_by=_signer(root),
@@ -403,25 +399,28 @@ def shown_of(content: bytes) -> ShownValues:
 
 def _states(root: Any, ref: str) -> bool:
     """Whether a document has a statement of ours of this name."""
-    return bool(_all(root, f"dcc:administrativeData/dcc:statements/dcc:statement[@refType='bench_{ref}']"))
-
-
-def _all(node: Any, path: str) -> list[Any]:
-    return list(node.findall(path, _NAMES))
+    return bool(
+        root.findall(
+            f"dcc:administrativeData/dcc:statements/dcc:statement[@refType='bench_{ref}']", nodes.NAMESPACES
+        )
+    )
 
 
 def _text(node: Any, path: str) -> str:
-    found = node.find(path, _NAMES)
+    found = node.find(path, nodes.NAMESPACES)
     return "" if found is None else " ".join("".join(found.itertext()).split())
 
 
 def _item(item: Any) -> str:
-    known = [_text(one, "dcc:value") for one in _all(item, "dcc:identifications/dcc:identification")]
+    known = [
+        _text(one, "dcc:value")
+        for one in item.findall("dcc:identifications/dcc:identification", nodes.NAMESPACES)
+    ]
     return ", ".join(filter(None, (_text(item, "dcc:name/dcc:content"), *known)))
 
 
 def _signer(root: Any) -> str:
-    for one in _all(root, "dcc:administrativeData/dcc:respPersons/dcc:respPerson"):
+    for one in root.findall("dcc:administrativeData/dcc:respPersons/dcc:respPerson", nodes.NAMESPACES):
         if _text(one, "dcc:mainSigner") == "true":
             return _text(one, "dcc:person/dcc:name/dcc:content")
     return ""
@@ -437,8 +436,8 @@ def _file(node: Any) -> tuple[str, bytes]:
 
 def _coefficients(root: Any) -> tuple[tuple[tuple[float, ...], ...], dict[str, CertifiedCoefficient]]:
     """Return covariance and coefficients of the last result that has them: of the unit as it is now."""
-    results = _all(root, _COEFFICIENTS)
-    found = None if not results else results[-1].find(_LIST, _NAMES)
+    results = root.findall(_COEFFICIENTS, nodes.NAMESPACES)
+    found = None if not results else results[-1].find(_LIST, nodes.NAMESPACES)
     if found is None:
         return (), {}
     expanded = "si:measurementUncertaintyUnivariateXMLList/si:expandedMUXMLList"
@@ -448,7 +447,9 @@ def _coefficients(root: Any) -> tuple[tuple[tuple[float, ...], ...], dict[str, C
         _numbers(found, f"{expanded}/si:{name}")
         for name in ("valueExpandedMUXMLList", "coverageFactorXMLList")
     )
-    columns = _all(found, ".//si:covarianceMatrixXMLList/si:columnXMLList/si:covarianceXMLList")
+    columns = found.findall(
+        ".//si:covarianceMatrixXMLList/si:columnXMLList/si:covarianceXMLList", nodes.NAMESPACES
+    )
     covariance = tuple(zip(*(_numbers(one, "si:valueXMLList") for one in columns), strict=True))
     if not len(labels) == len(units) == len(values) == len(U) == len(k) == len(covariance):
         raise NotIntact("the coefficients of the digital certificate are not one list")
