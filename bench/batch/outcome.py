@@ -139,11 +139,8 @@ def _result(ask: Ask, folder: Path, noted: Mapping[str, Any]) -> BatchResult:
     failed = f"SELECT run, failed AS why FROM changes WHERE failed IS NOT NULL ORDER BY run LIMIT {LISTED}"  # noqa: S608
     return BatchResult.model_validate(
         {
-            "command": noted["command"],
-            "over": noted["over"],
+            **{name: noted[name] for name in ("command", "over", "program", "begun")},
             "asked": noted["differing"],
-            "program": noted["program"],
-            "begun": noted["begun"],
             "runs": runs,
             "verdicts": {**_flag(ask, "verdict_differs"), "changes": changes},
             "names": _flag(ask, "names_differ") if diagnosis else None,

@@ -79,11 +79,9 @@ class StabilityResult(ResultModel):
 def stability_result(found: Stability, bench: BenchPart) -> StabilityResult:
     """Return the noise and drift of a record, with the bench file that was used, as `--json` writes them."""
     record, advice = found.record, found.advice
-    return StabilityResult(
-        source=record.source,
-        unit=record.unit,
+    return StabilityResult.from_object(
+        record,
         samples=len(record.signal),
-        interval_s=record.interval_s,
         channels={channel: _channel(found, i) for i, channel in enumerate(CHANNELS)},
         reading=None
         if advice is None

@@ -399,11 +399,8 @@ def shown_of(content: bytes) -> ShownValues:
 
 def _states(root: Any, ref: str) -> bool:
     """Whether a document has a statement of ours of this name."""
-    return bool(
-        root.findall(
-            f"dcc:administrativeData/dcc:statements/dcc:statement[@refType='bench_{ref}']", nodes.NAMESPACES
-        )
-    )
+    path = f"dcc:administrativeData/dcc:statements/dcc:statement[@refType='bench_{ref}']"
+    return root.find(path, nodes.NAMESPACES) is not None
 
 
 def _text(node: Any, path: str) -> str:
@@ -412,10 +409,8 @@ def _text(node: Any, path: str) -> str:
 
 
 def _item(item: Any) -> str:
-    known = [
-        _text(one, "dcc:value")
-        for one in item.findall("dcc:identifications/dcc:identification", nodes.NAMESPACES)
-    ]
+    stated = item.findall("dcc:identifications/dcc:identification", nodes.NAMESPACES)
+    known = [_text(one, "dcc:value") for one in stated]
     return ", ".join(filter(None, (_text(item, "dcc:name/dcc:content"), *known)))
 
 
