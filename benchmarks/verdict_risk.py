@@ -37,7 +37,7 @@ from bench.calibration.conformity import SIMPLE, Population
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings
-from bench.results.verification import verdict_part
+from bench.results.verification import VerdictPart, verdict_members
 from benchmarks.blind_trial.stand import specific_force
 from benchmarks.campaign import amiss, arguments
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, U0, K
@@ -92,10 +92,10 @@ def run(seed: int, number: int, noise: float, joint: int) -> tuple[Decided, Deci
     readings, errors = simulate(rng, noise, errors), errors.ravel()
     found = calibrate(readings, MODEL, SIZES, 9.81)
     told = found.block, found.covariance, found.noise.widened().reading, LIMIT_G, 1.0, SIMPLE
-    points = verdict_part(verify(readings, *told)).to_dict()["points"]
+    points = verify(readings, *told).points
     bad = np.abs(errors) > LIMIT_G
-    accepted = np.array([p["p_false_accept"] for p in points], dtype=np.float64)
-    rejected = np.array([p["p_false_reject"] for p in points], dtype=np.float64)
+    accepted = np.array([p.p_false_accept for p in points], dtype=np.float64)
+    rejected = np.array([p.p_false_reject for p in points], dtype=np.float64)
     taken, refused = np.isfinite(accepted), np.isfinite(rejected)
     whole: list[tuple[float, bool]] = []
     for number_of_pass, first in enumerate(range(0, 4 * CHECKS, 4), start=1):
@@ -140,7 +140,7 @@ def of_population(seed: int, number: int, noise: float, *, alike: bool) -> tuple
     found = calibrate(readings, MODEL, SIZES, 9.81)
     noise_u = found.noise.widened().reading
     decided = verify(readings, found.block, found.covariance, noise_u, LIMIT_G, population=POPULATION)
-    verdict = verdict_part(decided).to_dict()
+    verdict = VerdictPart.from_object(decided, **verdict_members(decided)).to_dict()
     accepted = verdict["p_false_accept"] is not None
     bad = bool(np.any(np.abs(errors) > LIMIT_G))
     return verdict["p_false_accept" if accepted else "p_false_reject"], bad is accepted

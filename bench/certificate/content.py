@@ -36,9 +36,6 @@ from bench.config.devices.device import Certificate as Held
 from bench.services.calibration import CalibrationResult
 from bench.services.verification import VerificationResult
 
-FORMULA: Final = "U = K a + U0, a = N (U - U0), N = K^-1, delta_g = |a| - 1"
-"""The model as text: U (3) the signals, a (3) the specific force in local g, +1 on an axis that points up."""
-
 Said = TypeVar("Said")
 _RULES: Final = {SIMPLE: "rule_simple", GUARDED: "rule_guarded", NON_BINARY: "rule_non_binary"}
 

@@ -119,10 +119,6 @@ class WantedRun:
         """The request, as `bench run` has it."""
         return RunRequest(**{"procedure": "", **self.fields})  # type: ignore[arg-type]
 
-    @property
-    def _files(self) -> tuple[object, object]:
-        return self.request.procedure, self.request.bench
-
     def hashed(self) -> WantedRun:
         """Return the requested run with the current hashes of its files. Raises `Refusal`."""
         return replace(self, sha256=self._hashes())

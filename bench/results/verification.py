@@ -124,11 +124,6 @@ def verdict_members(found: Verification) -> dict[str, Any]:
     }
 
 
-def verdict_part(found: Verification) -> VerdictPart:
-    """Return a verification as results have it."""
-    return VerdictPart.from_object(found, **verdict_members(found))
-
-
 def verify_result(found: Verification, **made_from: Any) -> VerifyResult:
     """Return a verification as `--json` writes it; `made_from` are the members from `notes` on."""
     return VerifyResult.from_object(found, **verdict_members(found), **made_from)

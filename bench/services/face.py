@@ -8,13 +8,12 @@ cache folder). Functions raise `Refused`, `ReadingsError`, `FileMistakes`, `Reco
 from __future__ import annotations
 
 import io
-import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
@@ -202,25 +201,3 @@ def _dry_run(request: DryRunRequest) -> DryRun:
 
 
 dry_run = python_call(DryRunRequest, _dry_run)
-
-
-def _loaded(
-    sources: Sequence[Any],
-    bench: Bench,
-    model: str | Path | None,
-    g: float | None,
-    runs: str | Path | None,
-    *,
-    skip_bad_rows: bool,
-) -> list[Source]:
-    return load_sources(
-        Request(
-            [str(source) if isinstance(source, Path) else source for source in sources],
-            Path(runs or os.environ.get("BENCH_RUNS") or "runs"),
-            str(bench) if isinstance(bench, Path) else bench,
-            None if model is None else Path(model),
-            g,
-            None,
-            skip_bad_rows,
-        )
-    )

@@ -6,7 +6,7 @@ from typing import Any
 
 from bench.calibration import Calibration, Verification
 from bench.results.calibration import calibrate_result
-from bench.results.verification import verdict_part
+from bench.results.verification import VerdictPart, verdict_members
 
 
 def calibration_json(found: Calibration) -> dict[str, Any]:
@@ -17,4 +17,4 @@ def calibration_json(found: Calibration) -> dict[str, Any]:
 
 def verification_json(found: Verification) -> dict[str, Any]:
     """Return what `bench verify --json` writes of a verification."""
-    return verdict_part(found).to_dict()
+    return VerdictPart.from_object(found, **verdict_members(found)).to_dict()

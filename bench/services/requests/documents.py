@@ -14,6 +14,7 @@ from bench.services.requests.shared import (
     JoinFreeField,
     JoinVerificationField,
     LimitField,
+    ModelField,
     NominalField,
     OnReadings,
     PopulationField,
@@ -118,9 +119,7 @@ class Batch(OnReadings):
         ),
     ]
     out: Annotated[Path, Option("Folder of the batch; the same command goes on with it.", metavar="FOLDER")]
-    model: Annotated[Path | None, Option("Model file: effects beside the paper's terms.", metavar="FILE")] = (
-        None
-    )
+    model: ModelField = None
     workers: Annotated[
         int | None, Option("Processes on this machine (default: one a core).", metavar="N", least=1)
     ] = None
