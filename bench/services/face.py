@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -39,18 +38,10 @@ from bench.services.source import Failed, Request, Source, load_sources, reading
 from bench.services.verification import VerdictOptions, VerificationResult
 
 if TYPE_CHECKING:
-    from typing import TypeAlias
-
     import pandas as pd
 
     from bench.run.folder import Run
-
-    Data: TypeAlias = str | Path | Readings | pd.DataFrame
-    """A readings file by path, a run by name or path, or a table in memory."""
-    Bench: TypeAlias = str | Path | BenchFile | None
-    """A bench file by path or name, or one at hand; None as the commands take it."""
-    Effects: TypeAlias = str | Path | Sequence[str | Path] | None
-    """Files with effects of the user's own, as formulas."""
+    from bench.services.requests.shared import Bench
 
 
 @checked(bench=NAME)
