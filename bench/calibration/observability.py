@@ -101,18 +101,12 @@ class Direction:
         return f"{per} is {', '.join(changes)}"
 
 
-def directions_of(
-    null: Floats, length: Floats, names: tuple[str, ...], block: Block
-) -> tuple[Direction, ...]:
-    """Return directions that span a null space (p, d), the plainest first.
-
-    `null` is an orthonormal basis in unknowns scaled by `length` (p,), the lengths of their columns.
-    """
-    return _Directions(null, length, names, block).all()
-
-
 class _Directions:
-    """Extraction of nameable directions from a null space, plainest first. Vectors are in scaled unknowns."""
+    """Extraction of nameable directions that span a null space (p, d), the plainest first.
+
+    `null` is an orthonormal basis in unknowns scaled by `length` (p,), the lengths of their columns; so are all
+    vectors.
+    """
 
     def __init__(self, null: Floats, length: Floats, names: tuple[str, ...], block: Block) -> None:
         self._whole = self._null = null
@@ -305,7 +299,7 @@ class Sensitivities:
         _, size, directions = np.linalg.svd(np.linalg.qr(scaled, mode="r"))
         size = np.concatenate([size, np.zeros(len(length) - len(size))])
         null = directions[size <= TRACELESS * max(float(size[0]), 1e-300)].T
-        found = directions_of(null, length, self.names, block)
+        found = _Directions(null, length, self.names, block).all()
         return Observability(self.names, len(length) - null.shape[1], found, null)
 
 

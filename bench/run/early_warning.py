@@ -81,7 +81,7 @@ TOLD_SIGMA: Final = 3.0
 
 
 class EarlyWarning:
-    """Watches a run reading by reading; a resumed run needs its recorded readings given again.
+    """Watches a run reading by reading, and observes its events; a resumed run is recalled first.
 
     `nominal_v_g` are the block's nominal scale factors with their signs. `stand_u` are the standard
     uncertainties of the stand's angles (rad), of "setting_error" (rad) and "voltmeter_error" (V). `readings`
@@ -122,6 +122,7 @@ class EarlyWarning:
         self._history: list[Sighting] = []
         self._places: dict[tuple[int, str, int, int], Sighting] = {}
         self._visits: dict[tuple[object, ...], Sighting] = {}
+        self._of_step: dict[int, Place] = {}
         self._time_s, self._temperature_c = math.nan, math.nan
         self._mounted_anew = True
         self._in_a_row = 0
@@ -403,38 +404,23 @@ class EarlyWarning:
         text = f"the block has slipped in its mount, or the head on its zero, by {slipped} since {since}"
         return [replace(now, text=text)]
 
-
-class Watcher:
-    """An observer of a run that keeps its early warning up to date."""
-
-    def __init__(self, warning: EarlyWarning) -> None:
-        self._warning = warning
-        self._places: dict[int, Place] = {}
+    # --- the run ---------------------------------------------------------------------------------------
 
     def observe(self, event: Event) -> None:
         """Take note of an event of the run."""
         match event.type:
             case EventType.STEP_DONE:
                 if isinstance(result := event.result, Reading):
-                    self._places[event.step] = result.place
+                    self._of_step[event.step] = result.place
                 elif isinstance(result, Mounted):
-                    self._warning.remounted()
+                    self.remounted()
             case EventType.REMOUNTED:
-                self._warning.remounted()
+                self.remounted()
             case EventType.REDO:
-                again = [self._places.pop(step) for step in event.steps if step in self._places]
-                self._warning.strike(again)
+                again = [self._of_step.pop(step) for step in event.steps if step in self._of_step]
+                self.strike(again)
             case EventType.WENT_ON:
-                self._warning.went_on()
-
-    def take(self, reading: Reading) -> Sequence[EarlySign]:
-        """Judge a reading; return the early signs."""
-        return self._warning.take(reading)
-
-    @property
-    def judged(self) -> ReadingJudgement | None:
-        """The judgement of the last reading; None for one without a known orientation."""
-        return self._warning.judged
+                self.went_on()
 
     def recall(self, taken: Sequence[tuple[int, Reading] | None], progress: PlanProgress) -> None:
         """Take the recorded readings of a run that is resumed.
@@ -445,23 +431,19 @@ class Watcher:
         last = {one[0]: number for number, one in enumerate(taken) if one is not None}
         for number, one in enumerate(taken):
             if one is None:
-                self._warning.remounted()
+                self.remounted()
                 continue
             step, reading = one
             if last[step] != number or step not in progress.done:
                 continue
-            self._places[step] = reading.place
-            self._warning.take(reading)
+            self._of_step[step] = reading.place
+            self.take(reading)
             if step in progress.gone_on:
-                self._warning.went_on()
-
-    def foresee(self, reading: Reading) -> ReadingJudgement:
-        """Judge a reading without learning from it."""
-        return self._warning.foresee(reading)
+                self.went_on()
 
 
-def watcher_of(plan: Plan, bench: BenchFile) -> Watcher:
-    """Return the watcher of a plan: it compares each reading with the expectation from earlier readings."""
+def watcher_of(plan: Plan, bench: BenchFile) -> EarlyWarning:
+    """Return the early warning of a plan: it compares each reading with the expectation from earlier readings."""
     reads = [step for step in plan.steps if isinstance(step, Read)]
     following = {
         (read.series, read.installation, read.pass_number, read.point): after.target_rad
@@ -469,11 +451,10 @@ def watcher_of(plan: Plan, bench: BenchFile) -> Watcher:
         if after.target_rad is not None
         and (read.series, read.installation) == (after.series, after.installation)
     }
-    warning = EarlyWarning(
+    return EarlyWarning(
         bench.unit_under_test.scale_factors.values,
         ForwardModel(bench.installation_models()),
         {name: distribution.u for name, distribution in bench.stand_distributions().items()},
         readings=len(reads),
         following=following,
     )
-    return Watcher(warning)

@@ -353,7 +353,7 @@ def warm_up(
         at = _until_settled(power, wanted, sample, between)
     else:
         while (left_s := power.on_since_s + wanted - clock.now_s()) > 0.0:
-            between(Settling(False, wanted - left_s, 0, (), (), 0.0, left_s))
+            between(Settling(False, wanted - left_s, 0, (), (), left_s))
             clock.sleep(min(NAP_S, left_s))
     after_s = clock.now_s() - power.on_since_s
     power.tell(EventType.WARMED_UP, {"after_s": round(after_s, 3), **({"at": list(at)} if at else {})})

@@ -32,14 +32,14 @@ _ROUNDING: Final = 1e-13
 
 
 @lru_cache(maxsize=256)
-def grubbs_critical(n: int, level: float = OUTLIER_LEVEL) -> float:
+def grubbs_critical(n: int) -> float:
     """Return the critical value of Grubbs' two-sided test for n samples, in standard deviations.
 
     Raises `ValueError` for fewer than 3 samples, which cannot have an outlier.
     """
     if n < 3:
         raise ValueError(f"Grubbs' test needs 3 samples or more, not {n}")
-    t2 = float(stdtrit(n - 2, level / (2 * n))) ** 2
+    t2 = float(stdtrit(n - 2, OUTLIER_LEVEL / (2 * n))) ** 2
     return (n - 1) / math.sqrt(n) * math.sqrt(t2 / (n - 2 + t2))
 
 
@@ -48,34 +48,27 @@ class Statistics:
     """The statistics of the `n` samples of a channel, in their unit; None where a number does not exist.
 
     `sd` needs 2 samples, the drift 3, an outlier `OUTLIER_LEAST`. `drift` is the change from the first to the
-    last sample by the fitted line, `drift_u` its standard uncertainty. `drift_p` is the probability of at
-    least as large a drift in samples that only scatter. `outlier` is the sample that Grubbs' test at 1 %
-    finds.
+    last sample by the fitted line, `drift_p` the probability of at least as large a drift in samples that only
+    scatter. `outlier` is the sample that Grubbs' test at 1 % finds.
     """
 
     n: int
     mean: float
     sd: float | None
     drift: float | None
-    drift_u: float | None
     drift_p: float | None
     outlier: Outlier | None
 
-    def drift_per_s(self, interval_s: float) -> float | None:
-        """Return the drift per second; `interval_s` is the time from sample to sample."""
-        return None if self.drift is None else self.drift / ((self.n - 1) * interval_s)
 
-
-def describe(samples: Mapping[str, Sequence[float]], resolution: float = 0.0) -> dict[str, Statistics]:
+def describe(samples: Mapping[str, Sequence[float]]) -> dict[str, Statistics]:
     """Return the statistics of the samples of each channel.
 
-    A sample no further than `resolution`, the last digit of the meter, from the median is no outlier. Raises
-    `ValueError` for a channel without samples or with one that is not a finite number.
+    Raises `ValueError` for a channel without samples or with one that is not a finite number.
     """
-    return {channel: _statistics(channel, values, resolution) for channel, values in samples.items()}
+    return {channel: _statistics(channel, values) for channel, values in samples.items()}
 
 
-def _statistics(channel: str, samples: Sequence[float], resolution: float) -> Statistics:
+def _statistics(channel: str, samples: Sequence[float]) -> Statistics:
     x = np.asarray(samples, dtype=np.float64)
     n = len(x)
     mean = float(x.sum()) / n if n else math.nan
@@ -86,23 +79,23 @@ def _statistics(channel: str, samples: Sequence[float], resolution: float) -> St
     if squares <= n * (_ROUNDING * mean) ** 2:
         squares = 0.0  # equal samples: their mean is off by rounding
     sd = math.sqrt(squares / (n - 1)) if n > 1 else None
-    drift, drift_u, drift_p = _drift(deviation, squares) if n > 2 else (None, None, None)
-    outlier = _outlier(x, deviation, sd, resolution) if sd and n >= OUTLIER_LEAST else None
-    return Statistics(n, mean, sd, drift, drift_u, drift_p, outlier)
+    drift, drift_p = _drift(deviation, squares) if n > 2 else (None, None)
+    outlier = _outlier(x, deviation, sd) if sd and n >= OUTLIER_LEAST else None
+    return Statistics(n, mean, sd, drift, drift_p, outlier)
 
 
-def _drift(deviation: Floats, squares: float) -> tuple[float, float, float]:
-    """Return the drift over the reading, its standard uncertainty, and the p-value of the t test."""
+def _drift(deviation: Floats, squares: float) -> tuple[float, float]:
+    """Return the drift over the reading, and the p-value of the t test."""
     n = len(deviation)
     if squares == 0.0:
-        return 0.0, 0.0, 1.0
+        return 0.0, 1.0
     time, time_squares = _sample_times(n)
     drift = float(time @ deviation) / time_squares
     left = squares - drift**2 * time_squares
     if left <= _ROUNDING * squares:
-        return drift, 0.0, 0.0  # samples exactly on a line
+        return drift, 0.0  # samples exactly on a line
     u = math.sqrt(left / (n - 2) / time_squares)
-    return drift, u, 2.0 * float(stdtr(n - 2, -abs(drift) / u))
+    return drift, 2.0 * float(stdtr(n - 2, -abs(drift) / u))
 
 
 @lru_cache(maxsize=64)
@@ -112,13 +105,11 @@ def _sample_times(n: int) -> tuple[Floats, float]:
     return time, float(time @ time)
 
 
-def _outlier(x: Floats, deviation: Floats, sd: float, resolution: float) -> Outlier | None:
+def _outlier(x: Floats, deviation: Floats, sd: float) -> Outlier | None:
     worst = int(np.abs(deviation).argmax())
     sigma = abs(float(deviation[worst])) / sd
     critical = grubbs_critical(len(x))
-    if sigma <= critical or abs(float(x[worst]) - float(np.median(x))) <= resolution * (1 + 1e-6):
-        return None
-    return Outlier(worst + 1, float(x[worst]), sigma, critical)
+    return Outlier(worst + 1, float(x[worst]), sigma, critical) if sigma > critical else None
 
 
 LEAST_SAMPLES: Final = 6
@@ -133,7 +124,7 @@ _TIMING_S: Final = 1e-6
 
 @dataclass(frozen=True)
 class Criterion:
-    """When a quantity counts as settled; `precision` and `target` in the unit of the samples.
+    """When a quantity counts as settled; `precision` in the unit of the samples.
 
     Raises `ValueError` for lengths that are not positive, a timeout shorter than the window, or samples
     that come too rarely for the window to hold two.
@@ -143,7 +134,6 @@ class Criterion:
     window_s: float
     timeout_s: float
     interval_s: float
-    target: float | None = None
 
     def __post_init__(self) -> None:
         """Check the lengths against each other."""
@@ -168,8 +158,7 @@ class Settling:
     """The state of the settling after a sample.
 
     `elapsed_s` counts from the first sample. `spread` is the peak-to-peak span of each signal over the
-    window, `off_target` the greatest distance of a sample in the window from the target (0 without a target).
-    `left_s` is the estimated time until settled, None where no estimate is possible.
+    window, `left_s` the estimated time until settled, None where no estimate is possible.
     """
 
     settled: bool
@@ -177,7 +166,6 @@ class Settling:
     samples: int
     values: tuple[float, ...]
     spread: tuple[float, ...]
-    off_target: float
     left_s: float | None
 
 
@@ -231,15 +219,10 @@ class Window:
         now_s, values = self._samples[-1]
         signals = list(zip(*(sample for _, sample in self._samples), strict=True))
         spread = tuple(max(signal) - min(signal) for signal in signals)
-        off = self._off_target(signals)
-        still = all(span <= self.criterion.precision for span in spread) and off <= self.criterion.precision
+        still = all(span <= self.criterion.precision for span in spread)
         settled = still and self._is_old(self._samples[0][0], now_s)
         left_s = 0.0 if settled else self._left_s(signals, spread)
-        return Settling(settled, elapsed_s, self._taken, values, spread, off, left_s)
-
-    def _off_target(self, signals: Sequence[Sequence[float]]) -> float:
-        target = self.criterion.target
-        return 0.0 if target is None else max(abs(value - target) for signal in signals for value in signal)
+        return Settling(settled, elapsed_s, self._taken, values, spread, left_s)
 
     def _left_s(self, signals: Sequence[Sequence[float]], spread: Sequence[float]) -> float | None:
         """Return the longest of the signals' estimates; None when a signal has none."""
@@ -256,11 +239,10 @@ class Window:
         down to the precision after τ ln(span/precision), but not before all samples outside the precision
         have left the window.
         """
-        precision, target, now_s = self.criterion.precision, self.criterion.target, times[-1]
-        off = 0.0 if target is None else abs(signal[-1] - target)
+        precision, now_s = self.criterion.precision, times[-1]
         moving = [t for t, v in zip(times, signal, strict=True) if abs(v - signal[-1]) > precision]
         fill_s = max(0.0, self.criterion.window_s - (now_s - (moving[-1] if moving else times[0])))
-        if spread <= precision and off <= precision:
+        if spread <= precision:
             return fill_s
         middle_s = (times[0] + now_s) / 2
         early = [v for t, v in zip(times, signal, strict=True) if t <= middle_s]
@@ -269,24 +251,17 @@ class Window:
         if len(times) < LEAST_SAMPLES or late_span >= SLOWING * early_span:
             return None
         if late_span == 0.0:
-            return fill_s if off <= precision else None
+            return fill_s
         tau_s = (now_s - times[0]) / 2 / math.log(early_span / late_span)
-        still_s = tau_s * math.log(max(spread / precision, 1.0))
-        arrive_s = tau_s * math.log(off / precision) + self.criterion.window_s if off > precision else 0.0
-        return max(fill_s, still_s, arrive_s)
-
-
-def _silent(_: Settling) -> None:
-    """Show no progress."""
+        return max(fill_s, tau_s * math.log(max(spread / precision, 1.0)))
 
 
 def wait_until_settled(
     sample: Callable[[], Sequence[float]],
     criterion: Criterion,
     clock: Clock,
-    on_progress: Callable[[Settling], None] = _silent,
+    on_progress: Callable[[Settling], None] = lambda state: None,
     *,
-    place: str = "block",
     names: Sequence[str] = ("x", "y", "z"),
     unit: str = "V",
 ) -> Settling:
@@ -294,7 +269,7 @@ def wait_until_settled(
 
     `sample` returns the signals (volts, or a temperature in °C alone) and may take time. It is called every
     `interval_s` from the start of one call to the start of the next. `on_progress` is called after every
-    sample. `place`, `names` and `unit` serve the error's sentence. Raises `NotSettled` when a sample taken at
+    sample. `names` and `unit` serve the error's sentence. Raises `NotSettled` when a sample taken at
     or after `timeout_s` is not settled yet, and the errors of `sample`.
     """
     window = Window(criterion)
@@ -307,31 +282,28 @@ def wait_until_settled(
         if state.settled:
             return state
         if clock.now_s() - begun_s >= criterion.timeout_s - _TIMING_S:
-            raise _not_settled(criterion, state, place, names, unit)
+            raise _not_settled(criterion, state, names, unit)
         clock.sleep(max(0.0, called_s + criterion.interval_s - clock.now_s()))
 
 
-def _not_settled(
-    criterion: Criterion, state: Settling, place: str, names: Sequence[str], unit: str
-) -> NotSettled:
+def _not_settled(criterion: Criterion, state: Settling, names: Sequence[str], unit: str) -> NotSettled:
     labels = list(names) if len(names) == len(state.spread) else [""] * len(state.spread)
     moving = [
         f"{label} {span:.3g} {unit}".strip()
         for label, span in zip(labels, state.spread, strict=True)
         if span > criterion.precision
     ]
-    parts = [f"still moved by {', '.join(moving)} in {criterion.window_s:g} s"] if moving else []
-    if state.off_target > criterion.precision:
-        parts.append(
-            f"was up to {state.off_target:.3g} {unit} from its target of {criterion.target:g} {unit}"
-        )
-    what = " and ".join(parts) or "was sampled too rarely to fill the window"
+    what = (
+        f"still moved by {', '.join(moving)} in {criterion.window_s:g} s"
+        if moving
+        else "was sampled too rarely to fill the window"
+    )
     cause = (
         f"not settled after {criterion.timeout_s:g} s: it {what}, where {criterion.precision:.3g} {unit} "
         "is allowed"
     )
     remedy = "look for what moves or warms it and repeat the step, or lengthen the timeout in the procedure"
-    return NotSettled(place, cause, remedy, state)
+    return NotSettled("block", cause, remedy, state)
 
 
 SLOW_AFTER_S: Final = 300.0

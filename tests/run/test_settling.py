@@ -98,21 +98,13 @@ def test_no_time_is_promised_while_it_drifts_or_only_begins():
 
 def test_a_timeout_says_what_still_moved_and_by_how_much():
     with pytest.raises(NotSettled) as caught:
-        run(lambda t: [0.0, 5e-4 * t, 0.0], place="block in installation 2")
+        run(lambda t: [0.0, 5e-4 * t, 0.0])
     assert str(caught.value) == (
-        "block in installation 2: not settled after 600 s: it still moved by y 0.005 V in 10 s, where "
+        "block: not settled after 600 s: it still moved by y 0.005 V in 10 s, where "
         "0.0001 V is allowed; look for what moves or warms it and repeat the step, or lengthen the timeout "
         "in the procedure"
     )
     assert caught.value.state.elapsed_s == pytest.approx(600.0)
-
-
-def test_a_temperature_settles_at_its_target_only():
-    criterion = Criterion(0.1, 60.0, 3600.0, 10.0, target=40.0)
-    state, _, _ = run(lambda t: [40.0 - 20.0 * math.exp(-t / 300.0)], criterion)
-    assert state.elapsed_s >= 300.0 * math.log(20.0 / 0.1)
-    with pytest.raises(NotSettled, match=r"up to 2 °C from its target of 40 °C"):
-        run(lambda _: [38.0], criterion, place="block", names=("",), unit="°C")
 
 
 def test_a_slow_sampler_is_not_waited_for_twice():

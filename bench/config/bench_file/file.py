@@ -155,12 +155,6 @@ class BenchFile(FileModel):
         return head.backoff if isinstance(head, MotorisedHeadForm) else 0.0
 
     @property
-    def chamber_limits_c(self) -> tuple[float, float] | None:
-        """Lowest and highest temperature of the chamber, °C; None where there is none."""
-        chamber = self.instruments.chamber
-        return None if chamber is None else (chamber.minimum, chamber.maximum)
-
-    @property
     def block_limits_c(self) -> tuple[float, float]:
         """Lowest and highest temperature that the block may be given, °C."""
         allowed = self.unit_under_test.temperature

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from types import ModuleType
-from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self
 
 from pydantic import (
     AfterValidator,
@@ -196,17 +196,19 @@ class WiredForm(DeviceSection):
 
 
 class PortSection(FileModel):
-    """The speed of a serial port; its other parameters are fixed by the maker."""
+    """The speed of a serial port, one of those `known`; its other parameters are fixed by the maker."""
+
+    known: ClassVar[tuple[int, ...]] = BAUD_RATES
 
     baud_rate: int
 
     @field_validator("baud_rate")
     @classmethod
     def _usual(cls, baud_rate: int) -> int:
-        return usual_baud_rate(baud_rate, BAUD_RATES)
+        return usual_baud_rate(baud_rate, cls.known)
 
     @classmethod
-    def of(cls, facts: ModuleType) -> PortSection:
+    def of(cls, facts: ModuleType) -> Self:
         """Return the port as delivered."""
         return cls(baud_rate=facts.SERIAL["baud_rate"])
 

@@ -17,7 +17,6 @@ from bench.config.devices.device import (
     any_resource,
     as_stated,
     resource_on,
-    usual_baud_rate,
 )
 from bench.config.devices.sections import HeadTruth, LevelForm, LevelTruth, MotorisedHeadForm, SpeedRadS
 from drivers.facts import acutrol, zaber
@@ -88,10 +87,7 @@ def _on_a_wire_it_has(resource: str) -> str:
 class NewportPort(PortSection):
     """The serial port: its RS-232, or the one that its USB is to the computer."""
 
-    @field_validator("baud_rate")
-    @classmethod
-    def _usual(cls, baud_rate: int) -> int:
-        return usual_baud_rate(baud_rate, newport.BAUD_RATES)
+    known: ClassVar = newport.BAUD_RATES
 
 
 class NewportSection(MotorisedHeadForm):
@@ -107,7 +103,7 @@ class NewportSection(MotorisedHeadForm):
     axis: Annotated[int, Field(ge=1, le=newport.MOST_AXES)] = 1
     identity: IdentityPattern = newport.IDENTITY
     allow_homing: bool = False
-    serial: NewportPort = NewportPort.model_validate({"baud_rate": newport.SERIAL["baud_rate"]})
+    serial: NewportPort = NewportPort.of(newport)
 
     def driver_options(self) -> dict[str, Any]:
         """Return which axis it is, who it must be, and whether it may home."""
@@ -140,10 +136,6 @@ _NEWPORT_ESP301 = Device(
     },
     simulated=("homed",),
 )
-
-
-_TURN_BEYOND_DEG: Final = 5.0
-"""How far a simulated stage can turn beyond the limits in the bench file, degrees."""
 
 
 class ZaberSection(MotorisedHeadForm):
@@ -194,8 +186,8 @@ class ZaberSection(MotorisedHeadForm):
         return {
             **super().simulation_options(truth),
             **self.model_dump(include={"steps_per_degree", "resolution", "device", "axis"}),
-            "lowest_deg": math.degrees(self.minimum) - _TURN_BEYOND_DEG,
-            "highest_deg": math.degrees(self.maximum) + _TURN_BEYOND_DEG,
+            "lowest_deg": math.degrees(self.minimum) - _BEYOND_DEG,
+            "highest_deg": math.degrees(self.maximum) + _BEYOND_DEG,
             "homed": truth.homed,
             "encoder": truth.encoder,
             **named,

@@ -16,10 +16,7 @@ from drivers.facts import keysight_e36300 as keysight
 class AimTtiPort(PortSection):
     """The serial port: its RS-232, or the one that its USB is to the computer."""
 
-    @field_validator("baud_rate")
-    @classmethod
-    def _usual(cls, baud_rate: int) -> int:
-        return usual_baud_rate(baud_rate, aim.BAUD_RATES)
+    known: ClassVar = aim.BAUD_RATES
 
 
 class AimTtiSection(WiredSupplyForm):
@@ -29,7 +26,7 @@ class AimTtiSection(WiredSupplyForm):
 
     driver: Literal["aim-tti"]
     model: Literal["PL303QMD-P", "CPX200DP", "CPX400DP"]
-    serial: AimTtiPort = AimTtiPort.model_validate({"baud_rate": aim.SERIAL["baud_rate"]})
+    serial: AimTtiPort = AimTtiPort.of(aim)
 
     def driver_options(self) -> dict[str, Any]:
         """Return what it can do, and which one it must be."""

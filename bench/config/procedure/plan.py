@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from typing import Any, Final
 
@@ -177,15 +177,8 @@ def _step_to_json(step: Step) -> dict[str, Any]:
     written: dict[str, Any] = {"step": step.NAME}
     for name in _FIELDS[type(step)]:
         value = getattr(step, name)
-        match value:
-            case tuple():
-                written[name] = list(value)
-            case _ if name in _ADDED and value == _ADDED[name]:
-                continue
-            case OnFailure():
-                written[name] = {"repeats": value.repeats, "then": value.then}
-            case _:
-                written[name] = value
+        if name not in _ADDED or value != _ADDED[name]:
+            written[name] = asdict(value) if isinstance(value, OnFailure) else value
     return written
 
 

@@ -165,12 +165,6 @@ class Part:
     applies: Callable[[CommissioningSession], bool] = lambda evening: True
 
 
-def _limits(evening: CommissioningSession) -> None:
-    devices.check_limits(evening)
-    devices.check_chamber_limits(evening)
-    devices.check_supply_limits(evening)
-
-
 def _identities(evening: CommissioningSession) -> None:
     for instrument in evening.instruments.all():
         evening.carry_out(IDENTITY, instrument, partial(_who, evening, instrument))
@@ -198,7 +192,7 @@ PARTS: Final = (
         "What lies beyond the limits of head, chamber and power supply is demanded while no wire is open: "
         "it must be refused. "
         "Nothing can move.",
-        _limits,
+        devices.check_limits,
     ),
     Part(
         "identity and settings",

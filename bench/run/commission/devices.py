@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Final, Protocol, runtime_checkable
 
@@ -18,11 +19,11 @@ from drivers.interfaces import (
     Direction,
     DividingHead,
     Inclination,
+    Instrument,
     Level,
     LimitExceeded,
     OutputSettings,
     PowerSupply,
-    SupplyLimits,
     ThermalChamber,
     Thermometer,
 )
@@ -32,6 +33,9 @@ LIMITS: Final = "limits"
 MOVE: Final = "small move"
 STOP: Final = "stop"
 
+BEYOND_K: Final = 1.0
+BEYOND_V: Final = 1.0
+"""Distance of the demands to chamber and supply beyond their limits, K and V."""
 WAY_IN_BACKOFFS: Final = 2.0
 """Length of a small move in backoffs: long enough to reach the target from one side without passing it."""
 STOPPED_AFTER_S: Final = 1.0
@@ -70,33 +74,68 @@ class Motor(Protocol):
 # --- limits -----------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class Beyond:
+    """What lies beyond the limits of an instrument: demands with their words; `within` says what is allowed."""
+
+    instrument: Instrument
+    within: str
+    demands: Sequence[tuple[str, Callable[[], object]]]
+
+
 def check_limits(evening: CommissioningSession) -> None:
-    """Demand angles beyond the head's limits; no wire is open, so that nothing can be sent.
+    """Demand what lies beyond the limits of head, chamber and power supply, while no wire is open.
 
-    Each demand must be refused.
+    So nothing can be sent. Each demand must be refused.
     """
-    head, form = evening.instruments.head, evening.section(evening.instruments.head.name)
+    for beyond in _beyond(evening):
+        evening.carry_out(LIMITS, beyond.instrument, partial(_refused, beyond), opened=False)
+
+
+def _beyond(evening: CommissioningSession) -> Iterator[Beyond]:
+    head, chamber = evening.instruments.head, evening.instruments.chamber
+    supply = evening.instruments.power_supply
+    form = evening.section(head.name)
     if isinstance(form, MotorisedHeadForm):
-        evening.carry_out(LIMITS, head, partial(_refused_beyond, head, form), opened=False)
-
-
-def _refused_beyond(head: DividingHead, form: MotorisedHeadForm) -> Finding:
-    beyond: tuple[tuple[float, Direction], ...] = (
-        (form.minimum - form.backoff, -1),
-        (form.maximum + form.backoff, 1),
-        (form.minimum, 1),  # its approach would begin outside
-        (form.maximum, -1),
-    )
-    for target_rad, direction in beyond:
-        refuse_or_say(
-            head.name,
-            f"{degrees(target_rad)}, {APPROACH[direction]},",
-            partial(head.move, target_rad, direction, "commission"),
+        ways: tuple[tuple[float, Direction], ...] = (
+            (form.minimum - form.backoff, -1),
+            (form.maximum + form.backoff, 1),
+            (form.minimum, 1),  # its approach would begin outside
+            (form.maximum, -1),
         )
-    said = (
-        f"what leads beyond {degrees(form.minimum)} to {degrees(form.maximum)} is refused before it is sent"
-    )
-    return Finding(LIMITS, head.name, State.WORKS, said)
+        yield Beyond(
+            head,
+            f"{degrees(form.minimum)} to {degrees(form.maximum)}",
+            [
+                (f"{degrees(rad)}, {APPROACH[side]},", partial(head.move, rad, side, "commission"))
+                for rad, side in ways
+            ],
+        )
+    if chamber is not None and isinstance(form := evening.section(chamber.name), ChamberForm):
+        yield Beyond(
+            chamber,
+            f"{form.minimum:g} to {form.maximum:g} °C",
+            [
+                (f"{c:g} °C", partial(chamber.set_temperature, c, "commission/limits"))
+                for c in (form.minimum - BEYOND_K, form.maximum + BEYOND_K)
+            ],
+        )
+    if supply is not None and isinstance(form := evening.section(supply.name), SupplyForm) and form.limits:
+        outputs = form.limits.outputs
+        demands = []
+        for output, limit in outputs.items():
+            far_v = max(limit.voltage_v, key=abs)
+            settings = OutputSettings(far_v + math.copysign(BEYOND_V, far_v), limit.current_a[0])
+            set_up = partial(supply.set_up, {output: settings}, "commission/limits")
+            demands.append((f"{settings.voltage_v:g} V on output {output}", set_up))
+        yield Beyond(supply, f"the limits of {', '.join(outputs)}", demands)
+
+
+def _refused(beyond: Beyond) -> Finding:
+    for what, demand in beyond.demands:
+        refuse_or_say(beyond.instrument.name, what, demand)
+    said = f"what leads beyond {beyond.within} is refused before it is sent"
+    return Finding(LIMITS, beyond.instrument.name, State.WORKS, said)
 
 
 def refuse_or_say(name: str, what: str, demand: Callable[[], object]) -> None:
@@ -290,27 +329,6 @@ def _turned(head: DividingHead, target_rad: float, direction: Direction, number:
 
 READ: Final = "temperature"
 STANDBY: Final = "standby"
-BEYOND_K: Final = 1.0
-"""Distance of the chamber's demands beyond the limits, K; they must be refused."""
-
-
-def check_chamber_limits(evening: CommissioningSession) -> None:
-    """Demand temperatures beyond the chamber's limits while no wire is open; each must be refused."""
-    chamber = evening.instruments.chamber
-    if chamber is None:
-        return
-    form = evening.section(chamber.name)
-    if isinstance(form, ChamberForm):
-        evening.carry_out(LIMITS, chamber, partial(_temperature_refused_beyond, chamber, form), opened=False)
-
-
-def _temperature_refused_beyond(chamber: ThermalChamber, form: ChamberForm) -> Finding:
-    for target_c in (form.minimum - BEYOND_K, form.maximum + BEYOND_K):
-        refuse_or_say(
-            chamber.name, f"{target_c:g} °C", partial(chamber.set_temperature, target_c, "commission/limits")
-        )
-    said = f"what leads beyond {form.minimum:g} to {form.maximum:g} °C is refused before it is sent"
-    return Finding(LIMITS, chamber.name, State.WORKS, said)
 
 
 def check_standby(evening: CommissioningSession) -> None:
@@ -396,31 +414,6 @@ def _temperature(thermometer: Thermometer) -> Finding:
 
 
 OUTPUTS: Final = "outputs"
-BEYOND_V: Final = 1.0
-"""Distance of the supply's settings beyond the limits, V; they must be refused."""
-
-
-def check_supply_limits(evening: CommissioningSession) -> None:
-    """Demand settings beyond the limits of each output while no wire is open; each must be refused."""
-    supply = evening.instruments.power_supply
-    if supply is None:
-        return
-    form = evening.section(supply.name)
-    if isinstance(form, SupplyForm) and form.limits is not None:
-        evening.carry_out(LIMITS, supply, partial(_voltage_refused_beyond, supply, form.limits), opened=False)
-
-
-def _voltage_refused_beyond(supply: PowerSupply, limits: SupplyLimits) -> Finding:
-    for output, limit in limits.outputs.items():
-        far_v = max(limit.voltage_v, key=abs)
-        settings = OutputSettings(far_v + math.copysign(BEYOND_V, far_v), limit.current_a[0])
-        refuse_or_say(
-            supply.name,
-            f"{settings.voltage_v:g} V on output {output}",
-            partial(supply.set_up, {output: settings}, "commission/limits"),
-        )
-    said = f"what leads beyond the limits of {', '.join(limits.outputs)} is refused before it is sent"
-    return Finding(LIMITS, supply.name, State.WORKS, said)
 
 
 def check_outputs(evening: CommissioningSession) -> None:

@@ -161,11 +161,10 @@ def test_what_the_check_of_a_plan_needs_to_know(tmp_path, shipped_text):
     motorised = load_bench(find_bench("bench-motorised"))
     assert motorised.head_limits_rad == pytest.approx((-5 * degree, 365 * degree))
     assert motorised.head_backoff_rad == pytest.approx(degree)
-    assert motorised.chamber_limits_c == (-40.0, 85.0)
     assert motorised.block_limits_c == (-40.0, 60.0)
     assert motorised.most_samples == 10_000
     by_hand = load_bench(find_bench("bench-lan"))
-    assert (by_hand.head_limits_rad, by_hand.head_backoff_rad, by_hand.chamber_limits_c) == (None, 0.0, None)
+    assert (by_hand.head_limits_rad, by_hand.head_backoff_rad) == (None, 0.0)
     multiplexer = load_bench(find_bench("bench-multiplexer"))
     assert multiplexer.most_samples == 16_666
     assert multiplexer.nplc_supported == (0.02, 0.2, 1.0, 2.0, 10.0, 20.0, 100.0, 200.0)
