@@ -200,8 +200,7 @@ class ScpiInstrument:
         byte: tuple[CommandParameter, ...] = (Number(words=()),)
         return [
             Command("*CLS", self._clear_status),
-            Command("*ESE", self._set_event_enable, byte),
-            Command("*ESE?", lambda: self.number(self.status.event_enable)),
+            *self._mask_lines("*ESE", "event_enable", 255),
             Command("*ESR?", lambda: self.number(self.status.take_event())),
             Command("*IDN?", lambda: self.identity),
             Command("*OPC", self._operation_complete),
@@ -209,8 +208,7 @@ class ScpiInstrument:
             Command("*PSC", self._set_power_on_clear, byte),
             Command("*PSC?", lambda: str(int(self.status.power_on_clear))),
             Command("*RST", self.reset),
-            Command("*SRE", self._set_service_enable, byte),
-            Command("*SRE?", lambda: self.number(self.status.service_enable)),
+            *self._mask_lines("*SRE", "service_enable", 255),
             Command("*STB?", lambda: self.number(self.status.status_byte)),
             Command("*TST?", lambda: self.number(self.self_test())),
         ]
@@ -219,9 +217,19 @@ class ScpiInstrument:
         return [
             Command("SYSTem:ERRor?", self.next_error),
             Command("STATus:QUEStionable[:EVENt]?", lambda: self.number(self.status.take_questionable())),
-            Command("STATus:QUEStionable:ENABle", self._set_questionable_enable, (Number(words=()),)),
-            Command("STATus:QUEStionable:ENABle?", lambda: self.number(self.status.questionable_enable)),
-            Command("STATus:PRESet", lambda: self._set_questionable_enable(0)),
+            *self._mask_lines("STATus:QUEStionable:ENABle", "questionable_enable", 32767),
+            Command("STATus:PRESet", lambda: setattr(self.status, "questionable_enable", 0)),
+        ]
+
+    def _mask_lines(self, notation: str, name: str, most: int) -> list[Command]:
+        """Return command and query of a mask of the status registers, a whole number up to `most`."""
+        return [
+            Command(
+                notation,
+                lambda mask: setattr(self.status, name, round(within(mask, 0, most))),
+                (Number(words=()),),
+            ),
+            Command(f"{notation}?", lambda: self.number(getattr(self.status, name))),
         ]
 
     def _clear_status(self) -> None:
@@ -230,15 +238,6 @@ class ScpiInstrument:
 
     def _operation_complete(self) -> None:
         self.status.event |= OPERATION_COMPLETE
-
-    def _set_event_enable(self, mask: float) -> None:
-        self.status.event_enable = round(within(mask, 0, 255))
-
-    def _set_service_enable(self, mask: float) -> None:
-        self.status.service_enable = round(within(mask, 0, 255))
-
-    def _set_questionable_enable(self, mask: float) -> None:
-        self.status.questionable_enable = round(within(mask, 0, 32767))
 
     def _set_power_on_clear(self, flag: float) -> None:
         self.status.power_on_clear = round(flag) != 0

@@ -15,6 +15,7 @@ from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.calibration.budget.propagation import effective_dof
 from bench.calibration.noise import METERS_DRIFT
 from bench.config.bench_file.file import BenchFile
+from bench.config.bench_file.stand import ErrorSize
 from bench.config.devices.device import Certificate, CertifiedGain, CertifiedOffset
 from bench.config.devices.registry import UnknownVoltmeter
 from bench.config.devices.sections import DAYS_90, VoltmeterForm
@@ -41,6 +42,11 @@ class Size:
     origin: str
     dof: float = math.inf
     prior: bool = False
+
+    @classmethod
+    def stated(cls, size: ErrorSize) -> Size:
+        """Return a size that the bench file states."""
+        return cls(size.to_distribution(), "bench file", size.dof)
 
 
 def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None) -> Size:
@@ -262,7 +268,7 @@ def known_meters(
         forms = bench.instruments.voltmeters
         sizes = [size_of(name, meter, day) for meter in forms]
         if stated is not None:
-            sizes = [Size(stated.to_distribution(), "bench file", stated.dof)] * len(forms)
+            sizes = [Size.stated(stated)] * len(forms)
         certified = np.array([stated is None and is_certified(name, meter) for meter in forms])
         if kept == 0.0:
             own: JointErrors | str = f"in {METERS_DRIFT.days} days voltmeters may drift through their limits"

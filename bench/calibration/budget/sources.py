@@ -163,60 +163,45 @@ def _voltmeter_sources(
     for name, symbol, unit, common, stated, size in quantities:
         if known is not None and name in known.quantities:
             size_known, errors = known.quantities[name]
-            yield replace(
-                _sized(
-                    ErrorSource(name, symbol, unit, size_known.distribution, common, "scale", ""), size_known
-                ),
-                root=errors.root,
-            )
+            yield replace(_of_size(name, symbol, unit, common, size_known), root=errors.root)
             continue
-        if stated is not None:
-            sizes = [Size(stated.to_distribution(), "bench file", stated.dof)]
-        else:
-            sizes = [size(meter) for meter in meters]
+        sizes = [size(meter) for meter in meters] if stated is None else [Size.stated(stated)]
         if all(one == sizes[0] for one in sizes):
-            yield _sized(
-                ErrorSource(name, symbol, unit, sizes[0].distribution, common, "scale", ""), sizes[0]
-            )
+            yield _of_size(name, symbol, unit, common, sizes[0])
             continue
         for meter, one in zip(meters, sizes, strict=True):
             called = f"{name}[{''.join(meter.channels)}]"
-            source = ErrorSource(
-                called, symbol, unit, one.distribution, common, "scale", "", channels=meter.channels
-            )
-            yield _sized(source, one)
+            yield replace(_of_size(called, symbol, unit, common, one), channels=meter.channels)
 
 
-def _sized(source: ErrorSource, size: Size) -> ErrorSource:
-    return replace(source, origin=size.origin, dof=size.dof, prior=size.prior)
+def _of_size(name: str, symbol: str, unit: str, common: Common, size: Size) -> ErrorSource:
+    """Return a source of scale and zero that no reading shows."""
+    return ErrorSource(
+        name, symbol, unit, size.distribution, common, "scale", size.origin, size.dof, size.prior
+    )
 
 
 def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
     """Yield the relative error of local gravity. A plain number has u of its last digit, at least 1 mGal."""
-    g = bench.gravity_m_s2
-    stated = bench.uncertainty.gravity
+    g, stated, known = bench.gravity_m_s2, bench.uncertainty.gravity, bench.gravity
     if g is None:
         return
     if stated is not None:
-        relative = replace(stated.to_distribution(), limit=stated.limit / g)
-        yield ErrorSource("gravity", "g", "1", relative, "run", "scale", "bench file", stated.dof)
-    elif isinstance(bench.gravity, MeasuredGravity):
-        known = bench.gravity
-        relative = Distribution(known.U / g, k=known.k)
+        size = Size.stated(stated)
+    elif isinstance(known, MeasuredGravity):
         origin = f"{known.source}, {known.date}: U = {known.U:.3g} m/s², k = {known.k:g}"
-        yield ErrorSource("gravity", "g", "1", relative, "run", "scale", origin, known.dof)
-    elif isinstance(bench.gravity, Location):
-        origin = "WGS 84 formula: anomalies of 50 mGal"
-        yield ErrorSource(
-            "gravity", "g", "1", Distribution(ANOMALY_M_S2 / g), "run", "scale", origin, prior=True
-        )
+        size = Size(Distribution(known.U, k=known.k), origin, known.dof)
+    elif isinstance(known, Location):
+        size = Size(Distribution(ANOMALY_M_S2), "WGS 84 formula: anomalies of 50 mGal", prior=True)
     else:
         decimals = len(repr(g).partition(".")[2])
         rounding = Distribution(0.5 * 10.0**-decimals, "rectangular")
-        size = rounding if rounding.u > MEASURED_M_S2 else Distribution(MEASURED_M_S2)
         origin = f"{g!r} m/s² as stated: its last digit, 1 mGal at least"
-        relative = replace(size, limit=size.limit / g)
-        yield ErrorSource("gravity", "g", "1", relative, "run", "scale", origin, prior=True)
+        size = Size(
+            rounding if rounding.u > MEASURED_M_S2 else Distribution(MEASURED_M_S2), origin, prior=True
+        )
+    relative = replace(size.distribution, limit=size.distribution.limit / g)
+    yield _of_size("gravity", "g", "1", "run", replace(size, distribution=relative))
 
 
 def _temperature_source(bench: BenchFile) -> ErrorSource:
@@ -247,18 +232,18 @@ def _head_table_source(bench: BenchFile) -> Iterator[ErrorSource]:
     certificate = bench.instruments.head.certificate
     if certificate is not None:
         worst = max(certificate.values, key=lambda value: value.U / value.k)
-        size = Distribution(worst.U, k=worst.k)
         origin = (
             f"certificate {certificate.number} of {certificate.date}: largest U of its table, k = {worst.k:g}"
         )
-        yield ErrorSource("head_table", "head", "rad", size, "angle", "scale", origin, worst.dof)
+        size = Size(Distribution(worst.U, k=worst.k), origin, worst.dof)
+        yield _of_size("head_table", "head", "rad", "angle", size)
 
 
 def _thermometer_source(bench: BenchFile) -> Iterator[ErrorSource]:
     """Yield the error of the thermometer, which is the same throughout a run."""
     size = thermometer_size(bench)
     if size is not None:
-        source = _sized(ErrorSource("thermometer", "T", "K", size.distribution, "run", "scale", ""), size)
+        source = _of_size("thermometer", "T", "K", "run", size)
         yield replace(source, factors=_temperature_source(bench).factors)
 
 
@@ -322,11 +307,8 @@ def _stated(
     usual: Distribution,
     origin: str,
 ) -> ErrorSource:
-    if stated is None:
-        return ErrorSource(name, symbol, unit, usual, common, "scale", origin, prior=True)
-    return ErrorSource(
-        name, symbol, unit, stated.to_distribution(), common, "scale", "bench file", stated.dof
-    )
+    size = Size(usual, origin, prior=True) if stated is None else Size.stated(stated)
+    return _of_size(name, symbol, unit, common, size)
 
 
 def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
