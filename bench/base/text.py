@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -74,6 +74,11 @@ _SECONDS: Final = ((3600.0, "h"), (60.0, "min"), (1.0, "s"))
 def repeated(words: Iterable[str]) -> list[str]:
     """Return the words that occur more than once, in the order of their first occurrence."""
     return [word for word, times in Counter(words).items() if times > 1]
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names joined for a sentence: "Kxx, Kxy and Kxz"."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 def duration(seconds: float) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.base.numbers import MINUS, probability
+from bench.base.text import listed
 from bench.calibration.result import CalibrationError
 from bench.model.geometry import COEFFICIENTS
 from bench.stats.control_charts import (
@@ -60,11 +61,6 @@ def _which(z: Floats, limit: float) -> str:
     return ", ".join(named[: len(beyond)]) if beyond else f"no coefficient alone; the farthest is {named[0]}"
 
 
-def _listed(names: Sequence[str]) -> str:
-    """Return names joined for a sentence: "Kxx, Kxy and Kxz"."""
-    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
-
-
 def notes_of(chart: ControlChart) -> tuple[str, ...]:
     """Return notes for the reader of the chart, a sentence each."""
     return (*_on_baseline(chart), *_on_components(chart), *_on_meters(chart), *_on_drift(chart))
@@ -102,7 +98,7 @@ def _on_components(chart: ControlChart) -> list[str]:
     more = [name for name, p in zip(COEFFICIENTS, found.more_than_stated, strict=True) if p < ALIKE_P]
     if more:
         notes.append(
-            f"between the runs of the baseline {_listed(more)} scatter{'s' * (len(more) == 1)} more than stated u: "
+            f"between the runs of the baseline {listed(more)} scatter{'s' * (len(more) == 1)} more than stated u: "
             "something comes anew with each run that the bench file does not state so large"
         )
     if found.birge_p < ALIKE_P:
@@ -128,7 +124,7 @@ def _on_meters(chart: ControlChart) -> list[str]:
     if not other:
         return []
     return [
-        f"not known to be measured with the meters of the baseline: {_listed(other)}; the limits of both meters "
+        f"not known to be measured with the meters of the baseline: {listed(other)}; the limits of both meters "
         "are in u there; take a new baseline with the new meters"
     ]
 
@@ -140,7 +136,7 @@ def _on_drift(chart: ControlChart) -> list[str]:
     if not names:
         return []
     return [
-        f"{_listed(names)} of the check block drift{'s' * (len(names) == 1)}: if it is the block and not the "
+        f"{listed(names)} of the check block drift{'s' * (len(names) == 1)}: if it is the block and not the "
         "bench, state it under 'drift' with its u"
     ]
 

@@ -12,6 +12,7 @@ from scipy.sparse import csgraph
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints
 from bench.calibration.noise import KnownStand
+from bench.stats import contrasts_within
 
 NONE: Final = 1e-6
 """A variance below this fraction of the stated one counts as zero."""
@@ -409,18 +410,8 @@ class _Design:
         return len(self.cell)
 
     @property
-    def contrasts(self) -> Floats:
-        """Orthonormal contrasts (M, k) of M meters that can be determined; the mean of a group cannot."""
-        kept = np.eye(len(self.meters))
-        for number in np.unique(self.group):
-            own = (self.group == number).astype(np.float64)
-            kept -= np.outer(own, own) / own.sum()
-        size, vectors = np.linalg.eigh(kept)
-        return np.asarray(vectors[:, size > 0.5])
-
-    @property
     def freedom(self) -> int:
-        return self.readings - int(self.cell.max()) - 1 - int(self.contrasts.shape[1])
+        return self.readings - int(self.cell.max()) - 1 - int(contrasts_within(self.group).shape[1])
 
     def mean_length(self, logarithms: Floats) -> Floats:
         """Return the mean length of its cell for each reading (N,), V/g."""
@@ -430,7 +421,7 @@ class _Design:
     def fit(self, y: Floats, known: Floats) -> Contrasts:
         """Return the contrasts from values (N,) of stated covariance (N, N), the rest by restricted likelihood."""
         cells = np.eye(int(self.cell.max()) + 1)[self.cell]
-        basis = self.contrasts
+        basis = contrasts_within(self.group)
         X = np.concatenate([cells, np.eye(len(self.meters))[self.meter_of] @ basis], axis=1)
         between2, u_between2 = _beyond(y, X, known)
 

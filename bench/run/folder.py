@@ -5,18 +5,16 @@ from __future__ import annotations
 import json
 import os
 import re
-import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
-import platformdirs
-
 from bench.base.computing import uncollected
-from bench.base.files import read_json, read_regular
+from bench.base.files import cache_folder, read_json, read_regular, write_whole
 from bench.config.procedure.plan import Plan, Read
 from bench.readings.corrected import LevelReading, with_levels
 from bench.readings.reading import readings_of
@@ -230,16 +228,11 @@ class Digest:
         return cls(history.state, len(history.readings), history.problems)
 
 
-def cache_folder() -> Path:
-    """Return the folder in which digests are cached."""
-    return Path(platformdirs.user_cache_dir("triaxial-bench")) / "runs"
-
-
 class Digests:
     """The digests of the runs in a folder; `save` caches those that were read anew, where it can."""
 
     def __init__(self, runs: Path, cache: Path | None = None, now: Callable[[], datetime] = utc_now) -> None:
-        self._file = (cache or cache_folder()) / f"{sha256(os.fsencode(runs.absolute()))[:32]}.json"
+        self._file = (cache or cache_folder("runs")) / f"{sha256(os.fsencode(runs.absolute()))[:32]}.json"
         self._now = now
         self._kept = _kept_in(self._file)
         self._changed = False
@@ -276,18 +269,10 @@ class Digests:
         if not self._changed:
             return
         text = json.dumps(self._kept)
-        try:
+        with suppress(OSError):
             self._file.parent.mkdir(parents=True, exist_ok=True)
-            descriptor, part = tempfile.mkstemp(dir=self._file.parent)
-            try:
-                with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-                    file.write(json.dumps({"format": FORMAT, "sha256": sha256(text.encode())}) + "\n" + text)
-                Path(part).replace(self._file)
-            except BaseException:
-                Path(part).unlink(missing_ok=True)
-                raise
-        except OSError:
-            return
+            head = json.dumps({"format": FORMAT, "sha256": sha256(text.encode())})
+            write_whole(self._file, f"{head}\n{text}")
 
 
 def _kept_in(file: Path) -> dict[str, dict[str, Any]]:

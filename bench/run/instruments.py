@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from bench.base.text import listed
 from bench.run.events import EventType
 from bench.run.person import RunControl, Stopped, agree
 from bench.run.power import UnitPower
@@ -70,7 +71,7 @@ def same_serials(identities: Mapping[str, Identity]) -> list[str]:
         if identity.serial.strip() not in NO_SERIAL:
             names[identity.model, identity.serial].append(name)
     return [
-        f"{', '.join(alike[:-1])} and {alike[-1]} state one serial number, {serial} ({model}): "
+        f"{listed(alike)} state one serial number, {serial} ({model}): "
         "if that is one instrument, the addresses in the bench file are wrong"
         for (model, serial), alike in names.items()
         if len(alike) > 1

@@ -1,4 +1,4 @@
-"""Statistics that know nothing of a bench; here: the adjustment of p-values for several tests.
+"""Statistics that know nothing of a bench; here: adjusted p-values of several tests, contrasts within groups.
 
 Source: S. Holm, "A simple sequentially rejective multiple test procedure", Scand. J. Statist. 6 (1979) 65.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.base.arrays import Floats
+from bench.base.arrays import Floats, Ints
 
 
 def holm(p: Floats) -> Floats:
@@ -17,3 +17,13 @@ def holm(p: Floats) -> Floats:
     adjusted = np.empty_like(p)
     adjusted[order] = np.minimum(stepped, 1.0)
     return adjusted
+
+
+def contrasts_within(group: Ints) -> Floats:
+    """Return an orthonormal basis (n, k) of the differences within groups (n,); the mean of a group is none."""
+    left = np.eye(len(group))
+    for number in np.unique(group):
+        own = (group == number).astype(np.float64)
+        left -= np.outer(own, own) / own.sum()
+    size, vectors = np.linalg.eigh(left)
+    return np.asarray(vectors[:, size > 0.5])

@@ -11,7 +11,7 @@ from typing import Final, Literal
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import CHANNELS, Floats, Ints, Mask
+from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.calibration.budget.propagation import effective_dof
 from bench.calibration.noise import METERS_DRIFT
 from bench.config.bench_file.file import BenchFile
@@ -20,6 +20,7 @@ from bench.config.devices.device import Certificate, CertifiedGain, CertifiedOff
 from bench.config.devices.registry import UnknownVoltmeter
 from bench.config.devices.sections import DAYS_90, VoltmeterForm
 from bench.model.geometry import Distribution
+from bench.stats import contrasts_within
 
 Quantity = Literal["voltmeter_gain", "voltmeter_offset"]
 
@@ -167,7 +168,7 @@ def joint_errors(
     n = len(prior_u)
     places = [place if place is not None else -1 for place in at]
     group = np.array([told.group[place] if place >= 0 else -1 - k for k, place in enumerate(places)])
-    basis = _contrasts(group)
+    basis = contrasts_within(group)
     if not basis.shape[1] or np.all(certified):
         return "certificates state all of it" if basis.shape[1] else "no two of these meters were compared"
     values = np.where(np.array(places) >= 0, told.values[places], 0.0)
@@ -191,16 +192,6 @@ def joint_errors(
     if np.any(np.diag(covariance) > (1 + 1e-9) * prior_u**2):
         return "the certificates beside them are worse than the makers' limits"
     return JointErrors(found.mean[:n], covariance)
-
-
-def _contrasts(group: Ints) -> Floats:
-    """Return an orthonormal basis (n, k) of the differences within groups."""
-    left = np.eye(len(group))
-    for number in np.unique(group):
-        own = (group == number).astype(np.float64)
-        left -= np.outer(own, own) / own.sum()
-    size, vectors = np.linalg.eigh(left)
-    return np.asarray(vectors[:, size > 0.5])
 
 
 def _never_over(found: JointErrors, prior: Floats, certified: Mask) -> JointErrors:

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, Floats, Ints, Mask
+from bench.base.text import listed
 from bench.calibration.budget.coefficients import meters_of, parts_of
 from bench.calibration.budget.error_source import NAME, ErrorSource, TiltRate, foundation_of
 from bench.calibration.budget.meters import KnownMeters
@@ -143,10 +144,9 @@ def _on_roll(roll: Floats, covariance: Floats) -> tuple[str, ...]:
     ]
     if not most:
         return ()
-    listed = " and ".join([", ".join(most[:-1]), most[-1]] if len(most) > 1 else most)
     return (
-        f"most of u of {listed} is the third mounting angle, which these installations do not show: the procedure "
-        "remount-90 shows it, a measured mounting_roll in the bench file limits it",
+        f"most of u of {listed(most)} is the third mounting angle, which these installations do not show: the "
+        "procedure remount-90 shows it, a measured mounting_roll in the bench file limits it",
     )
 
 
