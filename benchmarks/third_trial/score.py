@@ -44,7 +44,7 @@ def in_set(one: Record) -> set[str]:
 def holds(one: Record, names: Sequence[str]) -> bool:
     """Whether names are what is there: none for nothing, an unnamed form or a look-alike for what has no name."""
     if one["group"] == "catalogue":
-        return list(names) == [one["name"]]
+        return set(names) == {one["name"]}
     if one["group"] == "null" or not names:
         return one["group"] == "null" and not names
     known = [name for name in names if name in NAMES or name in set(MistakeName)]
@@ -68,7 +68,7 @@ def marks_of(one: Record) -> Marks:
             "outside silent, scatter": told if large and not mean else None,
             "outside closed": closed if large and mean else None,
         }
-    right, rival, gap = lone and one["names"] == [one["name"]], one["rival"][1], one.get("gap", {})
+    right, rival, gap = lone and set(one["names"]) == {one["name"]}, one["rival"][1], one.get("gap", {})
     measured = large and first == one["name"] and gap.get("before") is not None
     return marks | {
         "detected": one["verdict"] != "agrees",
@@ -166,7 +166,9 @@ def report(trial: str, found: Sequence[Record]) -> tuple[str, int]:
 def _coefficients(found: Sequence[Record]) -> list[str]:
     """Judge the twelve coefficients: of nulls, which checks this trial, and where the right name stands alone."""
     right = [
-        one for one in found if one["group"] == "catalogue" and alone(one) and one["names"] == [one["name"]]
+        one
+        for one in found
+        if one["group"] == "catalogue" and alone(one) and set(one["names"]) == {one["name"]}
     ]
     lines = []
     for what, cases in (
