@@ -35,11 +35,15 @@ FORMAT: Final = "1"
 
 
 class EffectEntry(FileModel):
-    """One effect of a file: its name in the catalogue, the channels and mountings that have it, its values."""
+    """One effect of a file: its name in the catalogue, the channels and mountings that have it, its values.
+
+    `either_of` are the names of a tie, of which the first was taken; empty where the name stands alone.
+    """
 
     name: str
     channels: tuple[Channel, ...] = Field(CHANNELS, min_length=1)
     installations: tuple[str, ...] = ()
+    either_of: tuple[str, ...] = ()
     parameters: dict[str, Any]
 
     def applied(self) -> AppliedEffect:
@@ -54,7 +58,7 @@ class EffectEntry(FileModel):
                 values[parameter.name] = read.values
                 if read.has_u:
                     u[parameter.name] = read.u
-        return AppliedEffect(effect, values, self.channels, u, self.installations)
+        return AppliedEffect(effect, values, self.channels, u, self.installations, self.either_of)
 
 
 class OpenShape(FileModel):
@@ -415,6 +419,8 @@ def _written_effect(applied: AppliedEffect) -> dict[str, Any]:
     written: dict[str, Any] = {"name": applied.effect.name, "channels": list(applied.channels)}
     if applied.installations:
         written["installations"] = list(applied.installations)
+    if applied.either_of:
+        written["either_of"] = list(applied.either_of)
     return written | {"parameters": parameters}
 
 

@@ -6,7 +6,6 @@ import itertools
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -14,8 +13,10 @@ import numpy as np
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.config.bench_file.file import BenchFile
 from bench.diagnosis.linear import MODULUS, LinearSystem
+from bench.diagnosis.noise_grid import Whitener
+from bench.diagnosis.residual_dictionary import DictionaryTerm, dictionary
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter
-from bench.model.effects.base import pass_label, rows_of
+from bench.model.effects.base import pass_label
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings
 
 Cell = tuple[str, int]
@@ -83,8 +84,6 @@ ROUND: Final = ("cosine", "sine")
 LEADS: Final = (ROUND, "across_")
 """Prefixes of parameter names. Cosine and sine with the same prefix describe one wave and belong together."""
 
-SLIP: Final = "block_slip"
-"""The effect that the search also tests against a threshold of its own."""
 ZERO_BY_RUN: Final = "zeros_by_run"
 SCALE_BY_RUN: Final = "scale_by_run"
 STEP_AFTER: Final = "step"
@@ -93,12 +92,18 @@ SINGLE_SETTING: Final = "single_setting"
 FREE_BY_ANGLE: Final = "free_by_angle"
 FREE_BY_PASS: Final = "free_by_pass"
 SLOW_IN_TIME: Final = "slow_in_time"
-HEAD_ANGLE: Final = "free_head_angle"
 UNNAMED: Final = (
-    FREE_BY_ANGLE, FREE_BY_PASS, HEAD_ANGLE, SLOW_IN_TIME, STEP_AFTER, SINGLE_READING, SINGLE_SETTING,
+    FREE_BY_ANGLE, FREE_BY_PASS, SLOW_IN_TIME, STEP_AFTER, SINGLE_READING, SINGLE_SETTING,
     ZERO_BY_RUN, SCALE_BY_RUN,
 )  # fmt: skip
 """Families of empirical signatures without a physical cause in the catalogue."""
+
+
+SINGLE: Final = (SINGLE_READING, SINGLE_SETTING)
+RARE: Final = 1e-3
+"""Prior odds of a single reading that stands apart against another unnamed pattern: one such reading has tails."""
+KIND_PRIOR: Final = (0.03, 0.03, 0.94)
+"""Prior probabilities that a form with a formula is missing, an unnamed pattern, an effect of the catalogue."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +120,7 @@ class Variant:
     """One form of a family: its columns of `Candidates.columns`, and the channels and mountings of it.
 
     `shape` holds the values of the shape parameters in SI. `where` says in words where an unnamed family
-    acts.
+    acts. `term` is the formula of an unnamed form.
     """
 
     family: str
@@ -124,6 +129,7 @@ class Variant:
     mounts: tuple[str, ...] = ()
     shape: tuple[tuple[str, float], ...] = ()
     where: str = ""
+    term: DictionaryTerm | None = None
 
     @property
     def named(self) -> bool:
@@ -136,7 +142,8 @@ class Candidates:
     """All variants that the search compares, with their columns (N, P), each for one plausible size.
 
     `kinds` names the parameter of each column. `scale` is its plausible size in SI (1 where it is unnamed).
-    `by_family` orders the variants by family; each family begins at its entry in `family_starts`.
+    `by_family` orders the variants by family; each family begins at its entry in `family_starts`. `log_prior`
+    (families,) is ln of the prior probability of each, given that one thing is missing.
     """
 
     columns: Floats
@@ -146,6 +153,7 @@ class Candidates:
     families: tuple[str, ...] = field(init=False)
     by_family: Ints = field(init=False)
     family_starts: Ints = field(init=False)
+    log_prior: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         """Collect the names of the families in order, and index the variants by family."""
@@ -154,14 +162,10 @@ class Candidates:
         member = np.array([place[v.family] for v in self.variants])
         self.by_family = np.argsort(member, kind="stable")
         self.family_starts = np.searchsorted(member[self.by_family], np.arange(len(self.families)))
-
-    @cached_property
-    def slips(self) -> list[int]:
-        """The indices of the variants of a block slip about an arbitrary axis, one for each set of passes."""
-        if SLIP not in self.families:
-            return []
-        whole = len(CATALOGUE[SLIP].parameters)
-        return [i for i in self.of_family(SLIP) if len(self.variants[i].columns) == whole]
+        kinds = [2 if name in CATALOGUE else 1 if name in UNNAMED else 0 for name in self.families]
+        share = np.array([KIND_PRIOR[kind] / kinds.count(kind) for kind in kinds])
+        share[[name in SINGLE for name in self.families]] *= RARE
+        self.log_prior = np.log(share / share.sum())
 
     def of_family(self, family: str) -> list[int]:
         """Return the indices of a family's variants."""
@@ -197,7 +201,7 @@ class Collector:
         if key not in self._everywhere:
             self._everywhere[key] = plausible_columns(self.linear, effect, parameter, shape, ())
         if mounts not in self._rows:
-            self._rows[mounts] = rows_of(mounts, self.linear.conditions)[self.linear.rows.reading]
+            self._rows[mounts] = self.linear.rows_in(mounts)
         rows = self._rows[mounts]
         return {channel: np.where(rows, column, 0.0) for channel, column in self._everywhere[key].items()}
 
@@ -222,6 +226,66 @@ class Collector:
         places = tuple(self.add(column, kind, 1.0) for column in columns)
         if len(places) > several:
             self.variants.append(Variant(family, places, channels, where=where))
+
+
+def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
+    """Return the candidates with the unnamed forms of the dictionary, a family for each course and place."""
+    columns: list[Floats] = []
+    kinds, scale, variants = list(candidates.kinds), candidates.scale.tolist(), list(candidates.variants)
+    first = len(kinds)
+    for term, channels, sizes in dictionary(linear):
+        places = tuple(range(first, first + len(sizes)))
+        first += len(sizes)
+        for size, channel, column in sizes:
+            columns.append(column)
+            kinds.append(Column(size, channel))
+            scale.append(term.unit.plausible)
+        variants.append(Variant(term.family, places, channels, term=term))
+    whole = np.column_stack([candidates.columns, *columns])
+    return Candidates(whole, tuple(kinds), np.array(scale), tuple(variants))
+
+
+def is_form(candidates: Candidates, family: str) -> bool:
+    """Return whether a family is an unnamed form with a formula."""
+    return (
+        candidates.variants[
+            candidates.by_family[candidates.family_starts[candidates.families.index(family)]]
+        ].term
+        is not None
+    )
+
+
+def replace_columns(candidates: Candidates, columns: Floats) -> Candidates:
+    """Return the same candidates with other columns (N, P)."""
+    return Candidates(columns, candidates.kinds, candidates.scale, candidates.variants)
+
+
+SAME: Final = 0.999
+"""A pattern of whose square this part lies in an effect's own is the effect itself, written otherwise."""
+RANK: Final = 1e-9
+
+
+def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
+    """Return the candidates without unnamed patterns that are an effect of the catalogue, written otherwise.
+
+    `white` maps the columns to white noise, without the coefficients.
+    """
+    own: dict[tuple[object, ...], set[int]] = {}
+    for variant in candidates.variants:
+        if variant.named:
+            own.setdefault((variant.family, variant.shape), set()).update(variant.columns)
+    unnamed = sorted({c for v in candidates.variants if not v.named for c in v.columns})
+    columns = white @ candidates.columns
+    left, same = columns[:, unnamed], np.zeros(len(candidates.kinds), dtype=bool)
+    bases = []
+    for of_effect in own.values():
+        u, size, _ = np.linalg.svd(columns[:, sorted(of_effect)], full_matrices=False)
+        bases.append(u[:, size > RANK * size[0]].T)
+    starts = np.cumsum([0, *(len(basis) for basis in bases[:-1])])
+    explained = np.add.reduceat((np.concatenate(bases) @ left) ** 2, starts, axis=0)
+    same[unnamed] = np.any(explained >= SAME * np.sum(left**2, axis=0), axis=0)
+    kept = tuple(v for v in candidates.variants if v.named or not all(same[c] for c in v.columns))
+    return Candidates(candidates.columns, candidates.kinds, candidates.scale, kept)
 
 
 MountSets = Callable[[LinearSystem, Effect], Iterator[tuple[tuple[str, ...], ...]]]
@@ -385,18 +449,16 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
         free(FREE_BY_PASS, (channel,), [unit * one for one in each(mine, mount, pass_number)], several=True)
         waves = [unit * mine * np.cos(np.pi * k * phase) for k in range(1, WAVES + 1)]
         free(SLOW_IN_TIME, (channel,), waves)
-    steepness = linear.typical_slope
-    errors = [unit * np.where(one > 0.0, linear.slope / steepness, 0.0) for one in each(oriented, angle)]
-    free(HEAD_ANGLE, (0, 1, 2), errors, several=True)
     last = int(rows.reading[oriented].max())
     for channel in range(3):
         for at in sorted(set(rows.reading[oriented].tolist())):
             if 0 < at < last:
                 step = unit * ((rows.channel == channel) & (rows.reading >= at))
                 free(STEP_AFTER, (channel,), [step], f"from reading {at + 1} on")
-    for row in np.flatnonzero(rows.channel != MODULUS).tolist():
+    for row in range(len(linear)):
         single = np.where(np.arange(len(linear)) == row, unit, 0.0)
-        free(SINGLE_READING, (int(rows.channel[row]),), [single], f"reading {rows.reading[row] + 1}")
+        channels = (0, 1, 2) if rows.channel[row] == MODULUS else (int(rows.channel[row]),)
+        free(SINGLE_READING, channels, [single], f"reading {rows.reading[row] + 1}")
     for number in range(linear.settings):
         column = np.where(linear.setting == number, linear.slope, 0.0)
         length = float(np.linalg.norm(column))

@@ -17,7 +17,7 @@ from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.calibration import CalibrationError
-from bench.calibration.design import FIXED, EffectUnknown
+from bench.calibration.design import EffectUnknown
 from bench.diagnosis.evidence import KNOWN_SIZE, ThresholdCache
 from bench.diagnosis.free_records import FreeDiagnosis
 from bench.diagnosis.gap import BY_CHANCE, LEAST_CLOSED, part_closed, rms
@@ -113,14 +113,21 @@ def confirm(
     coefficients, or could not show the effects.
     """
     diagnosis = diagnose(readings, model, stand_u, nominal_scale_factors, cache)
-    corrected, noise = diagnosis.mistakes.corrected, diagnosis.noise
+    corrected = diagnosis.mistakes.corrected
     stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
-    as_found = partial(in_the_noise_of, diagnosis.linear, diagnosis.weighed)
+    as_found = partial(in_the_noise_of, diagnosis.linear)
     without = as_found(make_linear(corrected, replace(model, effects=()), stand))
-    having = as_found(make_linear(corrected, model, stand))
+    return compared(diagnosis, without, as_found(make_linear(corrected, model, stand)))
+
+
+def compared(
+    diagnosis: Diagnosis | FreeDiagnosis, without: LinearSystem, having: LinearSystem
+) -> Confirmation:
+    """Compare the readings of a diagnosis `without` the effects of a model and `having` them."""
+    noise = diagnosis.noise
     after, chi2 = _left(having, noise)
     before, _ = _left(without, noise)
-    freedom = len(having) - FIXED
+    freedom = len(having) - having.fixed.shape[1]
     return Confirmation(
         before=before,
         after=after,
@@ -147,7 +154,7 @@ def _left(linear: LinearSystem, noise: NoiseSize) -> tuple[Model, float]:
     variance = (noise.reading * linear.relative) ** 2 + (noise.setting_rad * linear.slope) ** 2
     variance -= np.einsum("ni,ij,nj->n", design, fitted.covariance, design)
     expected = np.sqrt(np.maximum(variance, 0.0))[of_g] * linear.g_per_signal[of_g]
-    return Model(chi2 / (len(linear) - FIXED), rms([error]), rms([expected])), chi2
+    return Model(chi2 / (len(linear) - linear.fixed.shape[1]), rms([error]), rms([expected])), chi2
 
 
 def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
@@ -156,10 +163,10 @@ def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
     error = linear.response - np.concatenate([linear.fixed, linear.random], axis=1) @ fitted.mean
     every = np.ones(len(linear), dtype=bool)
     white = whiten_rows(linear, noise, error[:, None], every)
-    return float(np.sum(white**2) + np.sum(fitted.mean[FIXED:] ** 2))
+    return float(np.sum(white**2) + np.sum(fitted.mean[linear.fixed.shape[1] :] ** 2))
 
 
-def _now(linear: LinearSystem, diagnosis: Diagnosis) -> tuple[EffectNow, ...]:
+def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[EffectNow, ...]:
     """Estimate the effects from these readings alone, and compare them with the model.
 
     The open parts of their shapes (`InPart`) keep the model's values, as these readings alone determine them
@@ -196,29 +203,35 @@ def judged(
     model: ForwardModel, unknowns: Sequence[EffectUnknown], of: EstimatedEffects
 ) -> tuple[EffectNow, ...]:
     """Return the verdict on each effect of a model. Raises `CalibrationError` where no effect could show."""
-    plausible, found, u, change, covariance = of.plausible, of.found, of.u, of.change, of.covariance
-    known = np.sqrt(np.diag(covariance))
-    told = known < TOLD * KNOWN_SIZE
+    known = np.sqrt(np.diag(of.covariance))
     effects, seen = [], []
     for number, applied in enumerate(model.effects):
         if isinstance(applied.effect, InPart):
             continue
-        mine = np.array([unknown.effect == number for unknown in unknowns], dtype=bool)
-        use = np.flatnonzero(mine & told)
-        own = covariance[np.ix_(use, use)]
-        size, least = np.sqrt(square(found[use], own)), _least(len(use))
-        p_none = _chance(found[use] + change[use], own)
-        p_same = _chance(change[use], own + np.diag(u[use] ** 2))
+        mine = [i for i, unknown in enumerate(unknowns) if unknown.effect == number]
+        alike = [
+            i
+            for i, unknown in enumerate(unknowns)
+            if model.effects[unknown.effect].effect.name == applied.effect.name
+        ]
+        shown = _Shown.of(of, mine)
+        if shown.size < shown.least and len(alike) > len(mine):
+            shown = _Shown.of(of, alike, apart=False)
         then, now = (
             tuple(
-                _value(model, unknowns[i], sizes[i] * plausible[i], of_u[i] * plausible[i])
-                for i in np.flatnonzero(mine).tolist()
+                _value(model, unknowns[i], sizes[i] * of.plausible[i], of_u[i] * of.plausible[i])
+                for i in mine
             )
-            for sizes, of_u in ((found, u), (found + change, known))
+            for sizes, of_u in ((of.found, of.u), (of.found + of.change, known))
         )
-        word = _word(p_same, p_none) if size >= least else None
-        effects.append(EffectNow(applied, word, p_same, p_none, then, now))
-        seen.append(f"{applied.effect.name}: {size:.1f} where {least:.1f} would show")
+        word = _word(shown.p_same, shown.p_none) if shown.size >= shown.least else None
+        effects.append(EffectNow(applied, word, shown.p_same, shown.p_none, then, now))
+        where = f" in {', '.join(applied.installations)}" if applied.installations else ""
+        seen.append(
+            f"{applied.effect.name}: {shown.size:.1f} where {shown.least:.1f} would show"
+            if np.isfinite(shown.least)
+            else f"{applied.effect.name}{where}: they determine none of its values"
+        )
     if not any(effect.verdict for effect in effects):
         raise CalibrationError(
             "these readings could not show what the model has: at its values it is too small beside their noise "
@@ -228,8 +241,45 @@ def judged(
     return tuple(effects)
 
 
+@dataclass(frozen=True)
+class _Shown:
+    """What new readings show of some parameters: their `size` in the model, and the `least` that would show.
+
+    Both are in units of noise. `p_same` and `p_none` are as in `EffectNow`.
+    """
+
+    size: float
+    least: float
+    p_same: float
+    p_none: float
+
+    @classmethod
+    def of(cls, estimated: EstimatedEffects, places: Sequence[int], *, apart: bool = True) -> _Shown:
+        """Judge the parameters at `places` in the directions that the readings determine.
+
+        A direction is an eigenvector of their covariance: a sum or a difference may be known where no value is.
+        Values of several mountings that are not known `apart` are tied together in the model as they are here. A
+        file states no such ties: the model's u of a direction is then no more than that of these readings.
+        """
+        use = np.array(places, dtype=np.int64)
+        variance, turned = np.linalg.eigh(estimated.covariance[np.ix_(use, use)])
+        told = variance < (TOLD * KNOWN_SIZE) ** 2
+        directions = turned[:, told]
+        own = np.diag(variance[told])
+        of_model = directions.T @ (estimated.u[use, None] ** 2 * directions)
+        if not apart:
+            of_model = np.diag(np.minimum(np.diag(of_model), variance[told]))
+        found, change = directions.T @ estimated.found[use], directions.T @ estimated.change[use]
+        return cls(
+            float(np.sqrt(square(found, own))),
+            _least(len(found)),
+            _chance(change, own + of_model),
+            _chance(found + change, own),
+        )
+
+
 def _estimated(
-    linear: LinearSystem, own: Floats, found: Floats, diagnosis: Diagnosis
+    linear: LinearSystem, own: Floats, found: Floats, diagnosis: Diagnosis | FreeDiagnosis
 ) -> tuple[Floats, Floats]:
     """Return the change of the effects from the values `found` (m,), and its covariance, in plausible sizes.
 

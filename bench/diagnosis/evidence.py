@@ -26,7 +26,7 @@ from scipy.special import logsumexp
 
 from bench.base.arrays import Floats, Ints
 from bench.base.computing import tracked
-from bench.diagnosis.candidates import Candidates
+from bench.diagnosis.candidates import KIND_PRIOR, Candidates
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, GramProducts, NoiseGrid, Products
 from bench.model import CATALOGUE
@@ -250,21 +250,10 @@ class Search:
         explained = np.einsum("ghs,ghs->gs", at_known, np.linalg.solve(self.inner, at_known))
         return Data(data.square - explained, data.along - fitted)
 
-    def likelihood_ratio(self, data: Data, members: Sequence[int]) -> Floats:
-        """Return ln of the largest likelihood ratio of the variants `members`, wide priors, >= 0, (sets,)."""
-        left, grid = self.left_over(data), self.whitened.grid
-        base = (grid.log_prior + grid.log_det + self.log_det)[:, None]
-        of_null = _log_sum(base + grid.log_likelihood(left.square))
-        best = np.zeros(left.sets)
-        for group in self.groups:
-            for place in np.flatnonzero(np.isin(group.members, members)):
-                along = left.along[:, group.columns[place]]
-                along = np.swapaxes(group.vectors[:, place], 1, 2) @ along
-                weight = 1.0 / (group.values[:, place] + 1.0 / KNOWN_SIZE**2)
-                explained = np.sum(along**2 * weight[:, :, None], axis=1)
-                rest = np.maximum(left.square - explained, 1e-12 * left.square)
-                best = np.maximum(best, _log_sum(base + grid.log_likelihood(rest)) - of_null)
-        return best
+    def log_evidence(self, data: Data) -> float:
+        """Return ln of the evidence of one data set with the known columns, its noise integrated over."""
+        square, grid = self.left_over(data).square[:, 0], self.whitened.grid
+        return float(logsumexp(grid.log_prior + grid.log_det + self.log_det + grid.log_likelihood(square)))
 
     def score(self, data: Data) -> Scores:
         """Return the evidence of each variant relative to the model without it."""
@@ -379,16 +368,10 @@ def _of_pairs(blocks: Floats) -> tuple[Floats, Floats]:
 # --- the threshold --------------------------------------------------------------------------------
 
 
-NULLS: Final = 2000
+NULLS: Final = 1000
 SEED: Final = 20260
 FALSE_ALARMS: Final = 0.006
 """Probability of a false alarm: the search finds something where nothing is missing."""
-OF_SLIPS: Final = 1 / 6
-"""Fraction of the false alarms reserved for the test for a slip alone.
-
-The evidence of a slip is penalised for its sizes, axes and passes, and would miss slips that are visible.
-"""
-
 TAIL: Final = 0.05
 """Upper part of the simulated evidences to which an exponential tail is fitted."""
 
@@ -404,8 +387,6 @@ class Threshold:
     """The evidence `value` (ln odds of any missing effect) that chance reaches with `probability`.
 
     Above `start`, which chance exceeds with `p_start`, this probability falls by a factor e for each `decay`.
-    `slip` is the threshold for the likelihood ratio of slips. It is None where no slip is sought; `value`
-    then has all of the probability.
     """
 
     value: float
@@ -414,40 +395,23 @@ class Threshold:
     p_start: float
     decay: float
     nulls: int
-    slip: Threshold | None = None
 
     def at(self, probability: float) -> Threshold:
         """Return the threshold that chance reaches with another probability."""
-        slip = None if self.slip is None else self.slip.at(OF_SLIPS * probability)
-        own = probability if slip is None else (1.0 - OF_SLIPS) * probability
-        value = self.start + self.decay * float(np.log(self.p_start / own))
-        return replace(self, value=value, probability=probability, slip=slip)
+        value = self.start + self.decay * float(np.log(self.p_start / probability))
+        return replace(self, value=value, probability=probability)
 
-    def p(self, evidence: float, of_slip: float = 0.0) -> float:
-        """Return the p-value of an evidence or a slip, all looks counted; 1 below the fitted tails.
-
-        `of_slip` is ln of the likelihood ratio of a slip.
-        """
-        own = 1.0
-        if evidence > self.start:
-            own = float(self.p_start * np.exp(-(evidence - self.start) / self.decay))
-        if self.slip is None:
-            return own
-        return min(own / (1.0 - OF_SLIPS), self.slip.p(of_slip) / OF_SLIPS, 1.0)
-
-    def reached(self, evidence: float, of_slip: float) -> bool:
-        """Return whether the evidence or the likelihood ratio of a slip reaches its threshold."""
-        return evidence >= self.value or self.by_slip(of_slip)
-
-    def by_slip(self, of_slip: float) -> bool:
-        """Return whether the likelihood ratio of a slip reaches its own threshold."""
-        return self.slip is not None and of_slip >= self.slip.value
+    def p(self, evidence: float) -> float:
+        """Return the p-value of an evidence, all looks counted; 1 below the fitted tail."""
+        if evidence <= self.start:
+            return 1.0
+        return min(float(self.p_start * np.exp(-(evidence - self.start) / self.decay)), 1.0)
 
 
 def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
-    """Return ln of the mean evidence over all families (sets,): the odds that anything is missing."""
-    families = scores.families(whitened.candidates)
-    return np.asarray(logsumexp(families, axis=0) - np.log(len(families)), dtype=np.float64)
+    """Return ln of the odds that anything is missing (sets,): the evidence of all families by their priors."""
+    families = scores.families(whitened.candidates) + whitened.candidates.log_prior[:, None]
+    return np.asarray(logsumexp(families, axis=0), dtype=np.float64)
 
 
 def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
@@ -484,11 +448,7 @@ def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS)
     ratios = rng.choice(np.array(RATIOS), nulls, p=np.exp(grid.log_prior))
     search = Search.beside(whitened, ())
     data = whitened.reduce(null_responses(linear, grid.sigma, ratios, rng))
-    whole = fit_tail(total_evidence(search.score(data), whitened))
-    slips = whitened.candidates.slips
-    if not slips:
-        return whole
-    return replace(whole, slip=fit_tail(search.likelihood_ratio(data, slips))).at(FALSE_ALARMS)
+    return fit_tail(total_evidence(search.score(data), whitened))
 
 
 def fit_tail(evidence: Floats) -> Threshold:
@@ -521,7 +481,7 @@ class ThresholdCache:
             return make_threshold(linear, whitened)
         file = self.folder / f"{_key(linear, whitened, setting_rad)}.json"
         try:
-            return _of_file(json.loads(file.read_text(encoding="utf-8")))
+            return Threshold(**json.loads(file.read_text(encoding="utf-8")))
         except (OSError, ValueError, TypeError, KeyError, RecursionError):
             made = make_threshold(linear, whitened)
         try:
@@ -532,11 +492,6 @@ class ThresholdCache:
         except OSError:
             pass  # the cache saves time and nothing else
         return made
-
-
-def _of_file(fields: dict[str, Any]) -> Threshold:
-    slip = fields.pop("slip")
-    return Threshold(**fields, slip=None if slip is None else Threshold(**slip))
 
 
 def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
@@ -564,7 +519,7 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
         np.round(np.linalg.norm(linear.random, axis=0) / scale, 6).tolist(),
         repr([(name, effect.parameters) for name, effect in CATALOGUE.items()]),
         whitened.candidates.families,
-        (NULLS, SEED, FALSE_ALARMS, OF_SLIPS, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS, CHANNEL_U),
+        (NULLS, SEED, FALSE_ALARMS, KIND_PRIOR, TAIL, SIZES, LOG_SIZE_WEIGHTS, RATIOS, CHANNEL_U),
         channel_steps(linear),
     ]
     if readings.run.any():

@@ -1,23 +1,28 @@
-"""Free positions as one linear system, the change of zeros between records, and the diagnosis classes."""
+"""Free positions as one linear system, the change of zeros between records, and the diagnosis of them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
-from bench.calibration.design import UPPER, EffectUnknown, make_problem
+from bench.calibration.design import UPPER, make_problem
 from bench.calibration.free import first_guess_free
 from bench.calibration.result import CalibrationError
 from bench.calibration.verification import modulus_slopes
+from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.gap import Gap
-from bench.diagnosis.result import EffectValue, Verdict
-from bench.model import CATALOGUE, AppliedEffect, Block
+from bench.diagnosis.linear import MODULUS, LinearSystem, Rows, View, own_column
+from bench.diagnosis.naming import Naming
+from bench.diagnosis.posterior import NoiseSize
+from bench.diagnosis.result import NamedEffect, Verdict
+from bench.diagnosis.where import ResidualPattern
+from bench.model import AppliedEffect, Block
 from bench.model.forward import ForwardModel
 from bench.readings.table import JoinedPart, Readings, together
 
@@ -39,12 +44,11 @@ SCALES: Final = (0, 3, 5)
 
 @dataclass(frozen=True)
 class FreeRows:
-    """The free positions of all sensors as one linear system for |a| - 1.
+    """The free positions of all sensors, a row each.
 
     `tables` (sensors) hold the positions of each sensor; `sensor` and `record` (N,) are the indices of each
     row. `block` (sensors) are the coefficients that fit each sensor's positions best, all records together.
-    `origin` (N, 2) is the index of the input table and the row in it. `effects` are the effects of the given
-    model: subtracted at their values, and estimated again with the coefficients.
+    `origin` (N, 2) is the index of the input table and the row in it. `effects` are those of the given model.
     """
 
     tables: tuple[Readings, ...]
@@ -65,76 +69,32 @@ class FreeRows:
     @cached_property
     def direction(self) -> Floats:
         """The specific force of each position over its modulus, (N, 3)."""
-        return np.asarray(self._force / np.linalg.norm(self._force, axis=1)[:, None])
+        return np.concatenate([view.force for view in self.views])
 
     @cached_property
-    def _force(self) -> Floats:
-        force = [b.specific_force(t.signal) for b, t in zip(self.block, self.tables, strict=True)]
-        return np.concatenate(force)
-
-    @cached_property
-    def response(self) -> Floats:
-        """|a| - 1 (N,) in g, less the effects of the given model."""
-        by_model = [self.effect(s, one).sum(axis=1) for s in range(self.sensors) for one in self.effects]
-        return np.asarray(np.linalg.norm(self._force, axis=1) - 1.0 - sum(by_model, np.zeros(len(self))))
-
-    @cached_property
-    def unknowns(self) -> tuple[EffectUnknown, ...]:
-        """The parameters of the effects of the given model."""
-        model = ForwardModel({}, self.effects)
-        return make_problem(model, self.tables[0].conditions(), {}).effects
-
-    @cached_property
-    def of_model(self) -> Floats:
-        """Change of the response by a plausible size of each of the `unknowns`, shape (N, m)."""
-        columns = np.zeros((len(self), len(self.unknowns)))
-        for place, unknown in enumerate(self.unknowns):
-            applied = self.effects[unknown.effect]
-            parameter = next(p for p in applied.effect.parameters if p.name == unknown.parameter)
-            of = (unknown.channel is None) | (np.arange(3) == unknown.channel)
-            size = parameter.plausible * of if parameter.per_channel else np.asarray(parameter.plausible)
-            values = applied.complete_values()
-            shapes = {p.name: values[p.name] for p in applied.effect.parameters if p.is_shape}
-            one = replace(applied, values={**shapes, parameter.name: size}, u={})
-            columns[:, place] = sum(self.effect(s, one).sum(axis=1) for s in range(self.sensors))
-        return columns
-
-    @cached_property
-    def fixed(self) -> Floats:
-        """Columns that are always estimated: coefficients (N, 9 of each sensor), the model's effects."""
-        return np.column_stack([self.coefficients, self.of_model])
+    def views(self) -> tuple[View, ...]:
+        """The conversion of changes of the signals to changes of |a| in g, of each sensor."""
+        return tuple(_view(block, table) for block, table in zip(self.block, self.tables, strict=True))
 
     @cached_property
     def coefficients(self) -> Floats:
-        """Derivatives of the response by the coefficients, shape (N, 9 of each sensor)."""
+        """Derivatives of |a| - 1 less its prediction by the coefficients, shape (N, 9 of each sensor)."""
         columns = np.zeros((len(self), OWN * self.sensors))
         for number, (block, table) in enumerate(zip(self.block, self.tables, strict=True)):
             slopes, _ = modulus_slopes(block.specific_force(table.signal), block)
-            columns[self.sensor == number, OWN * number : OWN * (number + 1)] = -slopes[:, UPPER]
+            columns[self.sensor == number, place_of(number)] = -slopes[:, UPPER]
         return columns
 
-    def zero(self, sensor: int, channel: int) -> Floats:
-        """Return the change of the rows (N,) by a zero of a sensor that is larger by 1 g."""
-        scale = abs(float(self.block[sensor].K[channel, channel]))
-        return -scale * self.coefficients[:, OWN * sensor + ZEROS[channel]]
-
-    def scale(self, sensor: int, channel: int) -> Floats:
-        """Return the change of the rows (N,) per relative change of a sensor's scale factor."""
+    def change(self, of: Sequence[int], sensor: int, channel: int) -> Floats:
+        """Return the change of the rows (N,) by a zero (`ZEROS`) or scale factor (`SCALES`) larger by 1 g or 1."""
         size = abs(float(self.block[sensor].K[channel, channel]))
-        return -size * self.coefficients[:, OWN * sensor + SCALES[channel]]
+        return -size * self.coefficients[:, OWN * sensor + of[channel]]
 
-    def effect(self, sensor: int, applied: AppliedEffect) -> Floats:
-        """Return the change of a sensor's rows by an effect in each channel, shape (N, 3)."""
-        table, block = self.tables[sensor], self.block[sensor]
-        force = block.specific_force(table.signal)
-        unit = force / np.linalg.norm(force, axis=1, keepdims=True)
-        change = ForwardModel({}, (applied,)).readings_at(unit, table.conditions(), block) - block.output(
-            unit
-        )
-        _, by_signal = modulus_slopes(force, block)
-        columns = np.zeros((len(self), 3))
-        columns[self.sensor == sensor] = by_signal * change
-        return columns
+    def place(self, row: int) -> str:
+        """Return the sensor and the record of a row in words, each where there are several."""
+        sensor, record = int(self.sensor[row]), int(self.record[row])
+        of = f"sensor {sensor + 1}, " if self.sensors > 1 else ""
+        return of + (f"record {record + 1}, " if len(np.unique(self.record)) > 1 else "")
 
     def without(self, rows: Mask) -> FreeRows:
         """Return the positions without `rows` (N,), with the coefficients fitted again."""
@@ -142,6 +102,80 @@ class FreeRows:
         blocks = tuple(fit_sensor(t.signal) for t in tables)
         kept = (self.sensor[~rows], self.record[~rows])
         return FreeRows(tuple(tables), *kept, blocks, self.origin[~rows], self.effects)
+
+
+@dataclass(frozen=True)
+class FreeSystem(LinearSystem):
+    """|a| - 1 of free positions, in g, as a linear system: nine coefficients of each sensor.
+
+    The response is less the effects of the given model, which `random` estimates again. An effect's mountings are
+    here the sensors that have it ("sensor 1"); all have it where none is named.
+    """
+
+    positions: FreeRows
+
+    @property
+    def g_per_signal(self) -> Floats:
+        """Factors that convert the rows to g, shape (N,)."""
+        return np.ones(len(self))
+
+    def rows_in(self, mounts: Sequence[str]) -> Mask:
+        """Return the rows (N,) of these sensors."""
+        mine = [f"sensor {number + 1}" in mounts for number in range(self.positions.sensors)]
+        return np.array(mine, dtype=bool)[self.positions.sensor]
+
+    def effect_columns(self, applied: AppliedEffect) -> Floats:
+        """Return the change of the rows by an effect of the sensors, a column for each channel, (N, 3)."""
+        everywhere = replace(applied, installations=())
+        changes = []
+        for view, block in zip(self.positions.views, self.positions.block, strict=True):
+            change = view.own(self.model, (everywhere,), block)
+            changes.append(view.rows_of(change[:, :, None] * np.eye(3)))
+        # what needs a time or a temperature that is not given does nothing here
+        whole = np.nan_to_num(np.concatenate(changes))
+        return whole * self.rows_in(applied.installations)[:, None] if applied.installations else whole
+
+
+def make_system(rows: FreeRows) -> FreeSystem:
+    """Return free positions as a linear system."""
+    model = ForwardModel({}, rows.effects)
+    problem = make_problem(model, rows.tables[0].conditions(), {})
+    effects = problem.effects_at(problem.prior_mean)
+
+    response, random = [], []
+    for view, block, table in zip(rows.views, rows.block, rows.tables, strict=True):
+        modulus = np.linalg.norm(block.specific_force(table.signal), axis=1)
+        response.append(modulus - 1.0 - view.rows_of(view.own(model, effects, block)))
+        own = [own_column(problem, block, view, number) for number in range(len(problem.prior_u))]
+        nothing = np.zeros((len(table), 0))
+        random.append(np.column_stack([nothing, *(view.rows_of(change) for change in own)]))
+    readings = together([JoinedPart(table) for table in rows.tables])
+    where = np.array([f"F, {rows.place(row)}".removesuffix(", ") for row in range(len(rows))])
+    return FreeSystem(
+        # the rows are in g, whatever the unit of the signals
+        readings=replace(readings, unit="g", installation=where),
+        model=model,
+        block=rows.block[0],
+        rows=Rows(np.arange(len(rows)), np.full(len(rows), MODULUS)),
+        response=np.concatenate(response),
+        fixed=rows.coefficients,
+        random=np.concatenate(random),
+        slope=np.zeros(len(rows)),
+        setting=np.full(len(rows), -1),
+        moved=readings.conditions(),
+        view=rows.views[0],
+        problem=problem,
+        orientation=None,
+        positions=rows,
+    )
+
+
+def _view(block: Block, table: Readings) -> View:
+    force = block.specific_force(table.signal)
+    unit = force / np.linalg.norm(force, axis=1, keepdims=True)
+    nothing, none = np.full(force.shape, np.nan), np.zeros(0, dtype=np.int64)
+    by_signal = modulus_slopes(force, block)[1]
+    return View(table.conditions(), unit, nothing, none, np.arange(len(table)), none, by_signal)
 
 
 def fit_sensor(signal: Floats) -> Block:
@@ -186,7 +220,8 @@ def make_rows(
     whole, record, sensor, origin = [], [], [], []
     for number, name in enumerate(names):
         mine = [i for i in order if sensors[i] == name]
-        whole.append(_one(tables, mine))
+        alone = len(mine) == 1
+        whole.append(tables[mine[0]] if alone else together([JoinedPart(tables[i]) for i in mine]))
         record += [np.full(len(tables[i]), records[i]) for i in mine]
         origin += [np.column_stack([np.full(len(tables[i]), i), np.arange(len(tables[i]))]) for i in mine]
         sensor.append(np.full(len(whole[-1]), number))
@@ -194,7 +229,7 @@ def make_rows(
     effects = () if model is None else model.effects
     numbers = (np.concatenate(sensor), np.concatenate(record))
     rows = FreeRows(tuple(whole), *numbers, blocks, np.concatenate(origin), effects)
-    if model is not None and not np.all(np.isfinite(rows.response)):
+    if model is not None and not np.all(np.isfinite(make_system(rows).response)):
         raise CalibrationError(
             f"model {model.name}: an effect in it needs what free positions lack (a head angle, a time or a "
             "temperature); leave --model out"
@@ -202,29 +237,19 @@ def make_rows(
     return rows
 
 
-def _one(tables: Sequence[Readings], mine: Sequence[int]) -> Readings:
-    """Return the records of a sensor as one table, each with a clock of its own."""
-    if len(mine) == 1:
-        return tables[mine[0]]
-    return together([JoinedPart(tables[i]) for i in mine])
-
-
 def _records(tables: Sequence[Readings]) -> list[int]:
-    """Return the index of the record of each table."""
-    kinds: list[Floats] = []
+    """Return the index of the record of each table; tables with the same times are of one."""
+    first: list[Floats] = []
     numbers = []
     for table in tables:
         time_s = table.time_s
         same = [
             i
-            for i, other in enumerate(kinds)
-            if len(other) == len(time_s)
-            and np.all(np.isfinite(time_s))
-            and np.all(np.abs(other - time_s) < SAME_TIME_S)
+            for i, other in enumerate(first)
+            if len(other) == len(time_s) and np.all(np.abs(other - time_s) < SAME_TIME_S)
         ]
-        if not same:
-            kinds.append(time_s)
-        numbers.append(same[0] if same else len(kinds) - 1)
+        first += [] if same else [time_s]
+        numbers.append(same[0] if same else len(first) - 1)
     return numbers
 
 
@@ -260,9 +285,8 @@ def _feature(table: Readings) -> Floats:
     return np.concatenate([np.log(np.abs(scale)) / SCALE_BETWEEN, block.U0 / scale / ZERO_BETWEEN_G])
 
 
-MUCH: Final = 0.8
-SOME: Final = 0.5
-"""Fractions of shared variance above which changes are common to the sensors, fully or in part."""
+SHARED: Final = 0.5
+"""Fraction of shared variance from which changes are common to the sensors."""
 
 
 @dataclass(frozen=True)
@@ -273,7 +297,7 @@ class BetweenRecords:
     over the stated u, and `scatter` (3,) this scatter in g. `common` (3,) is the fraction of the variance
     that the sensors share, NaN for one sensor. `held_before` and `held_after` are the ratio for records held
     out and predicted from the others. Before, the zeros are constant; after, they scatter as in the other
-    records and follow the other sensors in the same record.
+    records.
     """
 
     zero: Floats
@@ -288,12 +312,11 @@ class BetweenRecords:
         """Return a text on the size of the changes, their common part and the held-out records."""
         sizes = ", ".join(f"{c} {size * 1e3:.2g} mg" for c, size in zip(CHANNELS, self.scatter, strict=True))
         text = f"scatter {sizes}, {self.ratio:.3g} times the stated u"
-        shares = [c for c, part in zip(CHANNELS, self.common, strict=True) if part >= MUCH]
-        partly = [c for c, part in zip(CHANNELS, self.common, strict=True) if SOME <= part < MUCH]
+        shared = zip(CHANNELS, self.common, strict=True)
+        parts = [f"{c} {100 * part:.0f} %" for c, part in shared if part >= SHARED]
         if np.all(np.isnan(self.common)):
             text += "; of one sensor nothing says whether others would change alike"
-        elif shares or partly:
-            parts = [f"{c} {100 * self.common[CHANNELS.index(c)]:.0f} %" for c in (*shares, *partly)]
+        elif parts:
             text += f"; the change is common to the sensors ({', '.join(parts)} of its variance)"
         else:
             text += "; each sensor changes by itself"
@@ -303,7 +326,7 @@ class BetweenRecords:
         )
 
 
-def between_records(rows: FreeRows, tables: Sequence[Readings]) -> BetweenRecords | None:
+def between_records(rows: FreeRows) -> BetweenRecords | None:
     """Return the change of zeros between records; None where no sensor has them from two records."""
     records = np.unique(rows.record)
     zero = np.full((rows.sensors, len(records), 3), np.nan)
@@ -319,14 +342,11 @@ def between_records(rows: FreeRows, tables: Sequence[Readings]) -> BetweenRecord
     if not usable.any():
         return None
     change = zero - np.nanmean(zero, axis=1, keepdims=True)
-    degrees = (full.sum(axis=1, keepdims=True) - 1)[:, :, None] / np.maximum(full.sum(axis=1), 1)[
-        :, None, None
-    ]
+    count = full.sum(axis=1)[:, None, None]
+    degrees = (count - 1) / np.maximum(count, 1)
     ratio = float(np.sqrt(np.nanmean(change[usable] ** 2 / u[usable] ** 2 / degrees[usable])))
     scatter = np.sqrt(np.nanmean(change[usable] ** 2 / degrees[usable], axis=(0, 1)))
-    common = _common(change, full)
-    before, after = _held_out(zero, u, full)
-    return BetweenRecords(zero, u, ratio, scatter, common, before, after)
+    return BetweenRecords(zero, u, ratio, scatter, _common(change, full), *_held_out(zero, u))
 
 
 def _zeros(signal: Floats) -> tuple[Floats, Floats] | None:
@@ -360,79 +380,30 @@ def _common(change: Floats, full: Floats) -> Floats:
     return np.asarray(np.clip(part, 0.0, 1.0))
 
 
-def _held_out(zero: Floats, u: Floats, full: Floats) -> tuple[float, float]:
+def _held_out(zero: Floats, u: Floats) -> tuple[float, float]:
     """Return the root mean square error, over its u, of predicting a record's zeros, before and after.
 
-    Before, the zeros of a sensor are constant, and the mean of the other records has its u. After, they
-    scatter as in the other records, and follow the common change of other sensors measured in the same
-    record.
+    Before, the zeros of a sensor are constant, and the mean of the other records has its u. After, they scatter as
+    in the other records.
     """
     before, after = [], []
     for record in range(zero.shape[1]):
-        others = np.arange(zero.shape[1]) != record
-        for sensor in np.flatnonzero(full[:, record]).tolist():
-            known = others & full[sensor]
-            if known.sum() < 2:
-                continue
-            past = zero[sensor, known]
-            mean, count = past.mean(axis=0), len(past)
-            off = zero[sensor, record] - mean
-            stated = u[sensor, record] ** 2 + np.sum(u[sensor, known] ** 2, axis=0) / count**2
-            before.append(off**2 / stated)
-            off, spread = _with_scatter(zero, full, sensor, record, known, off)
-            after.append(off**2 / (stated + spread))
-    if not before:
+        past, of_past = np.delete(zero, record, axis=1), np.delete(u, record, axis=1)
+        count = np.sum(np.isfinite(past), axis=1)
+        many = np.maximum(count, 1)
+        off = zero[:, record] - np.nansum(past, axis=1) / many
+        own = past - (np.nansum(past, axis=1) / many)[:, None]
+        stated = u[:, record] ** 2 + np.nansum(of_past**2, axis=1) / many**2
+        scatter = np.nansum(own**2, axis=1) / np.maximum(count - 1, 1) * (1.0 + 1.0 / many)
+        usable = np.isfinite(off) & (count > 1)
+        before.append((off**2 / stated)[usable])
+        after.append((off**2 / (stated + scatter))[usable])
+    if not sum(map(len, before)):
         return float("nan"), float("nan")
-    return float(np.sqrt(np.mean(before))), float(np.sqrt(np.mean(after)))
-
-
-def _with_scatter(
-    zero: Floats, full: Floats, sensor: int, record: int, known: Floats, off: Floats
-) -> tuple[Floats, Floats]:
-    """Return `off` corrected for the other sensors' change in this record, and its variance."""
-    past = zero[sensor, known]
-    own = past - past.mean(axis=0)
-    fellows = [s for s in range(len(zero)) if s != sensor and full[s, record] and np.all(full[s, known])]
-    fellows = fellows if len(past) > 2 else []
-    if not fellows:
-        return off, own.var(axis=0, ddof=1) * (1.0 + 1.0 / len(past))
-    means = zero[fellows][:, known].mean(axis=1, keepdims=True)
-    theirs = (zero[fellows][:, known] - means).mean(axis=0)
-    now = (zero[fellows, record] - means[:, 0]).mean(axis=0)
-    slope = np.sum(own * theirs, axis=0) / np.maximum(np.sum(theirs**2, axis=0), 1e-300)
-    left = own - slope * theirs
-    variance = np.sum(left**2, axis=0) / (len(past) - 2)
-    leverage = 1.0 + 1.0 / len(past) + now**2 / np.maximum(np.sum(theirs**2, axis=0), 1e-300)
-    return off - slope * now, variance * leverage
-
-
-# --- what is found out about free positions -------------------------------------------------------
+    return float(np.sqrt(np.mean(np.concatenate(before)))), float(np.sqrt(np.mean(np.concatenate(after))))
 
 
 OUTLIER: Final = "outlier"
-
-
-@dataclass(frozen=True)
-class FreeFound:
-    """A find: an effect of the catalogue, or an unnamed family. The fields are those of `NamedEffect`.
-
-    `applied` has one entry for all sensors, or one for each sensor with its own values.
-    """
-
-    name: str
-    channels: tuple[str, ...]
-    cannot_tell_from: tuple[str, ...]
-    parameters: tuple[EffectValue, ...]
-    p: float
-    p_all_looks: float
-    rho: float
-    words: str
-    applied: tuple[AppliedEffect, ...] = ()
-
-    @property
-    def in_catalogue(self) -> bool:
-        """Whether the find is an effect of the catalogue."""
-        return self.name in CATALOGUE
 
 
 @dataclass(frozen=True)
@@ -448,43 +419,39 @@ class FreeFit:
 class FreeDiagnosis:
     """The diagnosis of free positions.
 
-    `noise_g` is the noise of a position with all finds in the model. `stated_g` is the noise that the scatter
-    of the samples implies, NaN where it is not given. `columns` holds the columns of each find in |a|, (N,
-    p). `apart` is the reason for each position left out, `left_out` (k, 2) its table and row. `before` is the
-    fit of the given model, and `after` the fit with all finds.
+    `noise` is that of a position with all finds in the model, g. `stated_g` is the noise that the scatter of the
+    samples implies, NaN where it is not given. `apart` is the reason for each position left out, `left_out` (k, 2)
+    its table and row; `of_rest` is the verdict on the others. `before` is the fit of the given model, and `after`
+    the fit with all finds.
     """
 
     source: str
-    rows: FreeRows
+    linear: FreeSystem
+    candidates: Candidates
+    naming: Naming
     apart: tuple[str, ...]
     left_out: Ints
-    found: tuple[FreeFound, ...]
-    columns: tuple[Floats, ...]
+    of_rest: Verdict
+    found: tuple[NamedEffect, ...]
     gap: Gap
-    noise_g: float
+    noise: NoiseSize
     stated_g: float
-    freedom: int
     threshold: float
     before: FreeFit
     after: FreeFit
     between: BetweenRecords | None
-    where: tuple[Mapping[str, Any], ...]
+    where: tuple[ResidualPattern, ...]
     notes: tuple[str, ...] = ()
+
+    @property
+    def rows(self) -> FreeRows:
+        """The positions that are not left out."""
+        return self.linear.positions
 
     @property
     def verdict(self) -> Verdict:
         """One of agrees, mistake, named, confounded, unknown."""
         return "mistake" if self.apart else self.of_rest
-
-    @property
-    def of_rest(self) -> Verdict:
-        """The verdict on the positions that are not left out."""
-        if not all(one.in_catalogue for one in self.found):
-            return "unknown"
-        if not self.found:
-            return "agrees"
-        tied = any(one.cannot_tell_from for one in self.found)
-        return "named" if not tied and self.gap.shrinks else "confounded"
 
     @property
     def records(self) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -12,8 +12,8 @@ from scipy import special
 
 from bench.base.arrays import Floats, Mask
 from bench.base.computing import tracked
-from bench.diagnosis.candidates import Candidates
-from bench.diagnosis.evidence import Search, Threshold, Whitened
+from bench.diagnosis.candidates import Candidates, replace_columns
+from bench.diagnosis.evidence import Data, Threshold, Whitened
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows
 from bench.diagnosis.naming import Naming, name
 from bench.diagnosis.noise_grid import RATIOS, coupled, make_noise_grid
@@ -34,10 +34,6 @@ LEAST_CLOSED: Final = 0.5
 BY_CHANCE: Final = 0.01
 """A gap that chance alone reaches so often is none: of that, no part can be asked for."""
 
-BLIND: Final = "the rest could not have shown what was found"
-NOT_THERE: Final = "what was found does not show there"
-OWN_VALUE: Final = "what was found has a value of its own there, of which the rest says nothing"
-BLINDNESS: Final = (BLIND, NOT_THERE, OWN_VALUE)
 UNDETERMINED: Final = "the rest does not determine the coefficients"
 
 
@@ -61,28 +57,15 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Fold:
-    """Readings held out, predicted by the model as it was given and with what the others named.
+    """Readings held out, predicted by the given model and with what the search of the others found.
 
-    `gains` says of each name that the search on the others gave by how much the chi-square is smaller for it.
-    `blind` is why they cannot confirm what was found, as worked out before these were opened; empty where they can.
+    `gains` says of each name that the others gave by how much the chi-square is smaller for it.
     """
 
     label: str
     gains: Mapping[str, float]
     before: HeldOut
     after: HeldOut
-    blind: str
-
-    @property
-    def confirmable(self) -> bool:
-        """Whether the others could have shown what was found."""
-        return not self.blind
-
-    @property
-    def counted(self) -> bool:
-        """Whether the fold counts: it can confirm the finds, or the effects named without it worsen it."""
-        worse = self.after.chi2 - self.before.chi2 >= LEAST_FALL
-        return self.confirmable or (worse and self.blind == BLIND)
 
 
 @dataclass(frozen=True)
@@ -101,34 +84,24 @@ class Gap:
     undetermined: tuple[str, ...] = ()
 
     @property
-    def opened(self) -> tuple[Fold, ...]:
-        """The folds that count."""
-        return tuple(f for f in self.folds if f.counted)
-
-    @property
-    def left_out(self) -> tuple[Fold, ...]:
-        """The folds that do not count."""
-        return tuple(f for f in self.folds if not f.counted)
-
-    @property
     def count(self) -> int:
-        """The number of rows in the folds that count."""
-        return sum(len(f.before.error) for f in self.opened)
+        """The number of rows held out."""
+        return sum(len(f.before.error) for f in self.folds)
 
     @property
     def before(self) -> float:
         """Reduced chi-square of the given model on held-out readings."""
-        return sum(f.before.chi2 for f in self.opened) / max(self.count, 1)
+        return sum(f.before.chi2 for f in self.folds) / max(self.count, 1)
 
     @property
     def after(self) -> float:
         """Reduced chi-square with what was named, each fold by itself."""
-        return sum(f.after.chi2 for f in self.opened) / max(self.count, 1)
+        return sum(f.after.chi2 for f in self.folds) / max(self.count, 1)
 
     @property
     def closed(self) -> float | None:
         """The fraction of the gap above the floor that naming closes; None where there is no gap."""
-        return part_closed(self.before, self.after) if self.opened else None
+        return part_closed(self.before, self.after) if self.folds else None
 
     @property
     def p_after(self) -> float:
@@ -141,27 +114,27 @@ class Gap:
     @property
     def before_rms(self) -> float:
         """Root mean square of measured less predicted in single channels, unit of the signal."""
-        return rms([f.before.error for f in self.opened])
+        return rms([f.before.error for f in self.folds])
 
     @property
     def after_rms(self) -> float:
         """The same with what was named."""
-        return rms([f.after.error for f in self.opened])
+        return rms([f.after.error for f in self.folds])
 
     @property
     def before_rms_g(self) -> float:
         """Root mean square of measured less predicted, g by the scale factors."""
-        return rms([f.before.error_g for f in self.opened])
+        return rms([f.before.error_g for f in self.folds])
 
     @property
     def after_rms_g(self) -> float:
         """The same with what was named."""
-        return rms([f.after.error_g for f in self.opened])
+        return rms([f.after.error_g for f in self.folds])
 
     @property
     def expected_rms_g(self) -> float:
         """The expectation of `after_rms_g` when nothing is missing."""
-        return rms([f.after.expected_g for f in self.opened])
+        return rms([f.after.expected_g for f in self.folds])
 
     @property
     def unconfirmed(self) -> tuple[str, ...]:
@@ -169,7 +142,7 @@ class Gap:
         return tuple(
             name
             for name in dict.fromkeys(self.named)
-            if sum(fold.gains.get(name, 0.0) for fold in self.opened) < LEAST_FALL
+            if sum(fold.gains.get(name, 0.0) for fold in self.folds) < LEAST_FALL
         )
 
     @property
@@ -179,7 +152,7 @@ class Gap:
         The chi-square falls by `LEAST_FALL`, in all and by each name; `LEAST_CLOSED` of what is above the floor
         closes, where chance does not reach that; and no root mean square rises, in the signal's unit or in g.
         """
-        if not self.named or not self.opened:
+        if not self.named or not self.folds:
             return None
         part = self.closed
         return (
@@ -198,10 +171,6 @@ class Gap:
         if not self.folds:
             cannot = f"; without {', '.join(self.undetermined)} {UNDETERMINED}" if self.undetermined else ""
             return f"nothing can be held out: one pass, and no verification or free position{cannot}"
-        if not self.opened:
-            why = {blind: [f.label for f in self.folds if f.blind == blind] for blind in BLINDNESS}
-            told = "; ".join(f"{', '.join(labels)}: {blind}" for blind, labels in why.items() if labels)
-            return f"nothing held out can measure the gap ({told})"
         sizes = (
             f"reduced chi-square {self.before:.2f} before, {self.after:.2f} after, root mean square "
             f"{1e6 * self.before_rms_g:.3g} µg before, {1e6 * self.after_rms_g:.3g} µg after"
@@ -223,16 +192,16 @@ def rms(parts: Sequence[Floats]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
-SURE: Final = 2.0
-"""Beyond the size that half of the searches find, in units of noise: so large is found nearly always."""
-
+LEAST_FREEDOM: Final = 3
+"""Readings beyond the number of coefficients from which there is a scatter to compare anything with."""
 DETERMINED: Final = 1e-6
 """Smallest singular value over the largest of the coefficients' columns, scaled, from which they are determined."""
 
-LEAST_HELD: Final = 1.0
-"""What is held out can say nothing of what was found where less than this square of it shows there."""
+REPEATED: Final = 0.5
+"""What was found repeats in every pass where each pass, held out, leaves this part of its square."""
+IN_FOLDS: Final = 0.05
+"""Probability of a false alarm in the search of a fold, which has fewer readings than all."""
 
-UNSEEN: Final = 1e-9
 THIRDS: Final = 3
 HELD_OUT: Final = "readings held out in turn"
 
@@ -267,6 +236,10 @@ def thirds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
         yield f"every third setting, set {number + 1}", third == number
 
 
+FoldSearch = Callable[[Whitened, Data, Threshold, int], Naming]
+"""Searches the readings that are not held out, for a number of effects at most."""
+
+
 def measure_gap(
     linear: LinearSystem,
     whitened: Whitened,
@@ -274,24 +247,54 @@ def measure_gap(
     noise: NoiseSize,
     threshold: Threshold,
     setting_rad: float,
+    search: FoldSearch = name,
+    parts: Sequence[tuple[str, Mask]] = (),
 ) -> Gap:
-    """Hold readings out in turn; name, fit and predict without them. `whitened` are all readings."""
-    shown = _Shown.of(linear, whitened, naming, noise)
-    hold = partial(_fold, linear, whitened, shown, noise, threshold, setting_rad)
-    possible = [(label, held, determined(linear, ~held)) for label, held in folds_of(linear)]
-    folds = [hold(label, held) for label, held, able in tracked(possible, HELD_OUT) if able]
-    undetermined = tuple(label for label, _, able in possible if not able)
-    if naming.found and not any(fold.counted for fold in folds):
-        thirds = [(label, held) for label, held in thirds_of(linear) if determined(linear, ~held)]
-        folds += [hold(label, held) for label, held in tracked(thirds, HELD_OUT)]
+    """Hold readings out in turn; search the others, fit and predict. `whitened` are all readings.
+
+    A search of the others finds no more effects than that of all readings did. Held out are the rows of `parts`
+    with their labels, by default passes and verification points; every third setting where one of them has most of
+    the finds.
+    """
+    hold = partial(
+        _fold, linear, whitened, noise, threshold.at(IN_FOLDS), setting_rad, search, len(naming.found)
+    )
+    effects = whitened.candidates.columns[:, list(naming.columns)]
+    if not parts:
+        parts = list(folds_of(linear))
+        every = all(determined(linear, ~held) for _, held in parts)
+        if not every or not _repeats(linear, effects, noise, parts):
+            thirds = list(thirds_of(linear))
+            parts = thirds if all(determined(linear, ~held) for _, held in thirds) else parts
+    able = [(label, held) for label, held in parts if determined(linear, ~held)]
+    folds = tuple(hold(label, held) for label, held in tracked(able, HELD_OUT))
+    undetermined = tuple(label for label, _ in parts if label not in dict(able))
     families = tuple(one.variant.family for one in naming.found)
-    return Gap(tuple(folds), noise, linear.readings.unit, noise.freedom, families, undetermined)
+    return Gap(folds, noise, linear.readings.unit, noise.freedom, families, undetermined)
+
+
+def _repeats(
+    linear: LinearSystem, effects: Floats, noise: NoiseSize, parts: Sequence[tuple[str, Mask]]
+) -> bool:
+    """Return whether each part, held out, leaves enough of the signature of the effects' columns (N, m)."""
+    if not effects.shape[1]:
+        return True
+    found = (effects @ posterior(linear, effects, noise).amplitudes)[:, None]
+
+    def seen(rows: Mask) -> float:
+        nothing = posterior(replace(linear, response=found[:, 0]), effects[:, :0], noise, rows)
+        design = np.concatenate([linear.fixed, linear.random], axis=1)[rows]
+        left = found[rows] - design @ nothing.mean[:, None]
+        return float(np.sum(whiten_rows(linear, noise, left, rows) ** 2))
+
+    whole = seen(np.ones(len(linear), dtype=bool))
+    return all(seen(~held) >= REPEATED * whole for _, held in parts)
 
 
 def determined(linear: LinearSystem, rows: Mask) -> bool:
     """Return whether the chosen rows determine the coefficients."""
     fixed = linear.fixed[rows] / np.linalg.norm(linear.fixed, axis=0)
-    if len(fixed) <= fixed.shape[1]:
+    if len(fixed) < fixed.shape[1] + LEAST_FREEDOM:
         return False
     parts = [fixed[np.ix_(*part)] for part in coupled(fixed)]
     if any(len(part) < part.shape[1] for part in parts):
@@ -303,19 +306,20 @@ def determined(linear: LinearSystem, rows: Mask) -> bool:
 def _fold(
     linear: LinearSystem,
     whitened: Whitened,
-    shown: _Shown,
     noise: NoiseSize,
     threshold: Threshold,
     setting_rad: float,
+    search: FoldSearch,
+    most: int,
     label: str,
     held: Mask,
 ) -> Fold:
-    """Name without the rows `held`, and predict them."""
+    """Search without the rows `held`, and predict them."""
     part, candidates = restrict(linear, ~held), whitened.candidates
-    kept = Candidates(candidates.columns[~held], candidates.kinds, candidates.scale, candidates.variants)
+    kept = replace_columns(candidates, candidates.columns[~held])
     grid = make_noise_grid(part, whitened.grid.sigma, setting_rad, near_ratios(linear, noise))
-    rest = Whitened.of(grid, kept)
-    found = name(rest, rest.reduce(part.response[:, None]), threshold)
+    rest = Whitened.of(replace(grid, known=whitened.grid.known), kept)
+    found = search(rest, rest.reduce(part.response[:, None]), threshold, most)
     predict = partial(_held_out, linear, candidates, noise, held)
     before, after = predict(()), predict(found.columns)
     gains: dict[str, float] = {}
@@ -323,7 +327,7 @@ def _fold(
         without = predict(tuple(i for i in found.columns if i not in one.variant.columns))
         family = one.variant.family
         gains[family] = max(without.chi2 - after.chi2, gains.get(family, -np.inf))
-    return Fold(label, gains, before, after, shown.blind(rest, linear, held, threshold))
+    return Fold(label, gains, before, after)
 
 
 def _held_out(
@@ -340,74 +344,6 @@ def _held_out(
     return HeldOut(error, error * to_g, np.sqrt(variance) * to_g, chi2)
 
 
-@dataclass(frozen=True)
-class _Shown:
-    """The finds at their sizes, and their squared signal-to-noise in all readings, from the design.
-
-    `amplitudes` belong to the columns of `naming`. `each` is the square for each find beside the others,
-    `whole` the square for all finds together, in units of the noise squared.
-    """
-
-    candidates: Candidates
-    naming: Naming
-    noise: NoiseSize
-    amplitudes: Floats
-    each: tuple[float, ...]
-    whole: float
-
-    @classmethod
-    def of(cls, linear: LinearSystem, whitened: Whitened, naming: Naming, noise: NoiseSize) -> _Shown:
-        columns = whitened.candidates.columns[:, list(naming.columns)]
-        amplitudes = posterior(linear, columns, noise).amplitudes
-        bare = cls(whitened.candidates, naming, noise, amplitudes, (), 0.0)
-        ratio = RATIOS.index(near_ratios(linear, noise)[1])
-        return replace(bare, each=bare._each(whitened, ratio), whole=bare._whole(whitened, ratio))
-
-    def _each(self, whitened: Whitened, ratio: int) -> tuple[float, ...]:
-        parts = []
-        for one, place in self.naming.parts():
-            mine = list(one.variant.columns)
-            search = Search.beside(whitened, [c for c in self.naming.columns if c not in mine])
-            gram = search.between(ratio, mine)
-            parts.append(self._square(whitened, gram, self.amplitudes[place]))
-        return tuple(parts)
-
-    def _whole(self, whitened: Whitened, ratio: int) -> float:
-        columns = list(self.naming.columns)
-        return self._square(whitened, whitened.among(ratio, columns), self.amplitudes)
-
-    def _square(self, whitened: Whitened, gram: Floats, part: Floats) -> float:
-        return max(float(part @ gram @ part), 0.0) * (whitened.grid.sigma / self.noise.reading) ** 2
-
-    def blind(self, rest: Whitened, linear: LinearSystem, held: Mask, threshold: Threshold) -> str:
-        """Return why the rest cannot confirm what was found in the rows held out; nothing where it can."""
-        if not self.naming.found:
-            return ""
-        half = np.sqrt(2.0 * max(threshold.value + np.log(len(rest.candidates.families)), 1.0))
-        sure = (half + SURE) ** 2
-        middle = rest.ratios // 2
-        if self._own_value(linear, held) >= LEAST_FALL:
-            return OWN_VALUE
-        whole = self._whole(rest, middle)
-        if whole < sure:
-            return BLIND
-        there = self.whole - whole
-        if there < LEAST_HELD:
-            return NOT_THERE
-        unseen = [
-            one - left for one, left in zip(self.each, self._each(rest, middle), strict=True) if left < sure
-        ]
-        return BLIND if len(self.each) > 1 and sum(unseen) > there / 2 else ""
-
-    def _own_value(self, linear: LinearSystem, held: Mask) -> float:
-        """Return the square of what numbers that act in the rows held out alone put there."""
-        columns = self.candidates.columns[:, list(self.naming.columns)]
-        reach = np.max(np.abs(columns), axis=0)
-        own = np.max(np.abs(columns[~held]), axis=0) <= UNSEEN * reach
-        acts = (columns[:, own] @ self.amplitudes[own])[held]
-        return float(np.sum(whiten_rows(linear, self.noise, acts[:, None], held) ** 2))
-
-
 def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
     """Return the system with some of its rows; settings are numbered anew."""
     setting = linear.setting[rows]
@@ -419,6 +355,7 @@ def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
         fixed=linear.fixed[rows],
         random=linear.random[rows],
         slope=linear.slope[rows],
+        by_row=None if linear.by_row is None else linear.by_row[rows],
         setting=np.array([present.get(int(s), -1) for s in setting]),
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
@@ -10,12 +10,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.arrays import Floats, Ints
+from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration.calibrate import first_guess
 from bench.calibration.design import FIXED, STEP_RAD, Problem, coefficient_columns, make_problem
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Stage
-from bench.model.effects.base import Seen
+from bench.model.effects.base import Seen, rows_of
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_force_on_platform
 from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
@@ -142,7 +142,8 @@ class LinearSystem:
     orientation at the verification points, None where they do not determine it. Where it contradicts the
     bench file, `model` has installation V as measured. `by_channel` (3,) is the relative noise of the
     channels, with mean square 1. `by_run` is the relative noise of several runs, None where they are alike.
-    The last `of_noise` columns of `random` are noise that readings share.
+    `by_row` (N,) is the relative noise of rows with heavy tails, None for normal noise. The last `of_noise` columns
+    of `random` are noise that readings share, slow noise in `slow_channels`.
     """
 
     readings: Readings
@@ -155,12 +156,14 @@ class LinearSystem:
     slope: Floats
     setting: Ints
     moved: Conditions
-    view: _View
+    view: View
     problem: Problem
     orientation: Orientation | None
     by_channel: Floats = field(default_factory=lambda: np.ones(3), kw_only=True)
     by_run: RunSizes | None = field(default=None, kw_only=True)
+    by_row: Floats | None = field(default=None, kw_only=True)
     of_noise: int = field(default=0, kw_only=True)
+    slow_channels: tuple[int, ...] = field(default=(), kw_only=True)
 
     def __len__(self) -> int:
         return len(self.response)
@@ -189,7 +192,8 @@ class LinearSystem:
     @cached_property
     def relative(self) -> Floats:
         """Relative noise of each row, 1 for a channel and a run of average noise, shape (N,)."""
-        return self.relative_of_channel * self.relative_of_run
+        of_row = 1.0 if self.by_row is None else self.by_row
+        return self.relative_of_channel * self.relative_of_run * of_row
 
     @cached_property
     def relative_of_run(self) -> Floats:
@@ -225,6 +229,10 @@ class LinearSystem:
     def conditions(self) -> Conditions:
         """The conditions of all readings, in the order of measurement."""
         return self.view.conditions
+
+    def rows_in(self, mounts: Sequence[str]) -> Mask:
+        """Return the rows (N,) of these mountings, or passes of one."""
+        return rows_of(mounts, self.conditions)[self.rows.reading]
 
     def rows_of(self, change: Floats) -> Floats:
         """Convert changes of the signals (n, 3) to changes of the rows (N,)."""
@@ -313,7 +321,7 @@ class LinearSystem:
 
 
 @dataclass(frozen=True)
-class _View:
+class View:
     """Conversion of changes of the three signals of a reading to the rows of the system.
 
     `conditions` covers all readings in the order of measurement, as effects may depend on earlier readings.
@@ -375,7 +383,7 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
     given[moduli] = _unit(force)  # how the block stood there its signals say better than any bench file
     voltage_v = np.full((len(readings), 3), np.nan)
     voltage_v[inputs] = _input_v(readings.select(kind_of == 2))
-    view = _View(readings.conditions(), given, voltage_v, settings, moduli, inputs, by_signal)
+    view = View(readings.conditions(), given, voltage_v, settings, moduli, inputs, by_signal)
 
     own = view.own(model, problem.effects_at(others), block)
     residual = table.signal - problem.predict(block, others)
@@ -443,7 +451,7 @@ def _input_v(inputs: Readings) -> Floats:
     return np.repeat(volts[:, None], 3, axis=1)
 
 
-def _own_column(problem: Problem, block: Block, view: _View, number: int) -> Floats:
+def own_column(problem: Problem, block: Block, view: View, number: int) -> Floats:
     """Return the change (n, 3) of the signals by one prior standard deviation of a model parameter."""
     step = np.zeros_like(problem.prior_u)
     step[number] = 1e-3 * problem.prior_u[number]
@@ -452,7 +460,7 @@ def _own_column(problem: Problem, block: Block, view: _View, number: int) -> Flo
 
 
 def _columns(
-    problem: Problem, block: Block, unit: Floats, view: _View, label: NDArray[np.str_], unstated: Ints
+    problem: Problem, block: Block, unit: Floats, view: View, label: NDArray[np.str_], unstated: Ints
 ) -> tuple[Floats, Floats]:
     """Return the columns of the coefficients, and of stand angles and own effects times their prior u.
 
@@ -465,7 +473,7 @@ def _columns(
     whole[view.moduli, :, :FIXED] = coefficient_columns(unit) if len(unit) else 0.0
     beyond = np.concatenate([view.moduli, view.inputs])
     for j in range(len(problem.stand), len(problem.prior_u)):
-        whole[beyond, :, FIXED + j] = _own_column(problem, block, view, j)[beyond]
+        whole[beyond, :, FIXED + j] = own_column(problem, block, view, j)[beyond]
     columns = np.stack([view.rows_of(whole[:, :, j]) for j in range(whole.shape[2])], axis=1)
     random = columns[:, FIXED:]
     reference = label == REFERENCE

@@ -18,7 +18,6 @@ from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import (
     FREE_BY_ANGLE,
     FREE_BY_PASS,
-    HEAD_ANGLE,
     SCALE_BY_RUN,
     SLOW_IN_TIME,
     SUBSETS,
@@ -42,9 +41,8 @@ from bench.diagnosis.noise_grid import (
     with_rounding,
     with_sizes_of_runs,
 )
-from bench.diagnosis.noise_kinds import WeighedDown
 from bench.diagnosis.posterior import noise_size, posterior
-from bench.diagnosis.single_run_search import Prepared, noise_as_it_is
+from bench.diagnosis.single_run_search import Prepared, choose_noise
 from bench.model.conditions import Conditions, Mounting
 from bench.model.effects import AppliedEffect, Effect, Stage
 from bench.model.effects.base import Subsystem
@@ -317,8 +315,6 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
         free(FREE_BY_PASS, (channel,), [unit * one for one in each(mine, mount, pass_number)], several=True)
         waves = [unit * mine * np.cos(np.pi * k * phase) for k in range(1, WAVES + 1)]
         free(SLOW_IN_TIME, (channel,), waves)
-    errors = [np.where(one > 0.0, linear.slope / linear.typical_slope, 0.0) for one in each(oriented, angle)]
-    free(HEAD_ANGLE, (0, 1, 2), [unit * one for one in errors], several=True)
     _add_by_run(collector, run, unit)
 
 
@@ -398,10 +394,7 @@ UNLIKELY: Final = 5.0
 
 @dataclass(frozen=True)
 class _EachRun:
-    """Settings for the search of single runs: limits of the stand, last digit, thresholds, reading noise.
-
-    `weighed` holds the corrections of the rows of all runs for heavy tails.
-    """
+    """Settings for the search of single runs: limits of the stand, last digit, thresholds, reading noise."""
 
     stand_u: Mapping[str, float]
     setting_rad: float
@@ -409,7 +402,6 @@ class _EachRun:
     cache: ThresholdCache
     absent: Collection[str]
     sigma: float = 0.0
-    weighed: WeighedDown | None = None
 
 
 def search_runs(
@@ -424,16 +416,13 @@ def search_runs(
     """Return the prepared readings of several runs and their finds; arguments and errors as `search_run`."""
     each = _EachRun(stand, setting_rad, resolution, cache, absent)
 
-    def again(
-        prepared: Prepared, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
-    ) -> tuple[Prepared, Naming]:
-        fresh, naming = _prepared(linear, replace(each, weighed=prepared.weighed), limit, most)
-        return replace(fresh, weighed=prepared.weighed), naming
+    def again(prepared: Prepared, linear: LinearSystem, most: float) -> tuple[Prepared, Naming]:
+        return _prepared(linear, each, prepared.limit, most)
 
     whole = make_system(readings, model, stand)
     whole = with_sizes_of_runs(whole, resolution / np.sqrt(12.0))
     whole = with_rounding(whole, resolution, noise_of_repeats(whole, resolution).sigma)
-    return noise_as_it_is(*_prepared(whole, each), again)
+    return choose_noise(*_prepared(whole, each), again)
 
 
 def _prepared(
@@ -536,8 +525,8 @@ def _runs(linear: LinearSystem, each: _EachRun) -> Iterator[_Run]:
         table = replace(readings.select(readings.run == number), block=None)
         rows: Mask = of_row == number
         alone = make_linear(table, linear.model, each.stand_u)
-        pull = 0.0 if each.weighed is None else each.weighed.pull[rows]
-        alone = replace(alone, response=alone.response + pull, by_channel=linear.by_channel)
+        by_row = None if linear.by_row is None else linear.by_row[rows]
+        alone = replace(alone, by_channel=linear.by_channel, by_row=by_row)
         sigma = each.sigma * (1.0 if linear.by_run is None else float(linear.by_run.sizes[number]))
         alone = with_rounding(alone, each.resolution, sigma)
         grid = grid_with_rounding(alone, sigma, each.setting_rad, each.resolution)

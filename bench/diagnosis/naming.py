@@ -1,16 +1,17 @@
-"""Naming: the most plausible family joins the model, then all are scored again."""
+"""Naming: the most plausible family joins the model, all are scored again, and each place gets its odds."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.special import logsumexp
 
 from bench.base.arrays import Floats
-from bench.diagnosis.candidates import SLIP, UNNAMED, Variant
+from bench.diagnosis.candidates import Variant
 from bench.diagnosis.evidence import (
     KNOWN_SIZE,
     Data,
@@ -24,32 +25,38 @@ from bench.diagnosis.evidence import (
 from bench.model.effects import CATALOGUE
 
 MOST_EFFECTS: Final = 5
-LEAK: Final = 2.5
-"""A candidate ties when it leaves no more than this, in units of noise, of what the found effect explains."""
-LEAST_EXPLAINED: Final = 0.5
-"""A candidate ties by its geometry only when it explains so much of the square: what is hardly larger than the
-leak could be left by anything."""
+ALONE: Final = 0.95
+"""Posterior probability from which a name stands alone."""
+SET: Final = 0.99
+"""Posterior probability that the names of a tie hold together."""
+ALIAS: Final = 1.0
+"""An effect that leaves no more than this of another, in units of noise, is its alias whatever the priors say."""
 FIRST_OF_PAIR: Final = 12
 """The number of effects that are tried as the first of a pair."""
 PAIR_MARGIN: Final = 5.0
 """Two named effects replace an unnamed family when ln of their evidence is higher by this margin."""
 ABSURD: Final = 60.0
-"""A candidate that would have to be this many plausible sizes large ties with no effect."""
-ANY_SIZE: Final = 1e5
+"""A candidate that would have to be this many plausible sizes large is no alias."""
 SAME: Final = 1e-6
-"""What leaves no more than this part of the square of what another effect puts into the readings does the same."""
-LESS_PLAUSIBLE: Final = 4.0
-"""A candidate ties when the ln of its evidence is no further below, and speaks for it at all: above 0."""
+"""Two effects whose signatures differ by at most this part of their square are the same in these readings."""
+
+
+@dataclass(frozen=True)
+class FamilyOdds:
+    """The posterior probability that a family, and no other, stands in the place of an effect found."""
+
+    name: str
+    probability: float
 
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """An effect, or an unnamed family, that was found: `evidence` is ln odds against not being there.
+    """An effect, or an unnamed family, that was found: `evidence` is ln of the Bayes factor against its absence.
 
-    `ties` are other effects (or unnamed families) that explain it as well, the more plausible first; `same` those
-    among them that would put the very same into these readings; `plainer_than` those of the same subsystem that
-    explain it with more parameters. `size` is the part of the readings that it explains, in units of noise (rho);
-    `of_slip` ln of the ratio of likelihoods that a slip would have in its place.
+    `odds` are the families that may stand in its place, the most probable first; `ties` those of them that cannot
+    be excluded, `same` those among them with the same signature in these readings. `plainer_than` are larger
+    families of the same subsystem that contain it. `size` is the part of the readings that it explains, in units
+    of noise (rho); `total` is ln of the odds that anything is missing without it.
     """
 
     variant: Variant
@@ -59,12 +66,12 @@ class FoundEffect:
     ties: tuple[str, ...] = ()
     plainer_than: tuple[str, ...] = ()
     same: tuple[str, ...] = ()
-    of_slip: float = 0.0
+    odds: tuple[FamilyOdds, ...] = ()
 
 
 @dataclass(frozen=True)
 class Naming:
-    """The finds, in order; `left` is the total evidence that something is still missing."""
+    """The finds, in order; `left` is ln of the odds that something is still missing."""
 
     found: tuple[FoundEffect, ...]
     left: float
@@ -87,17 +94,17 @@ class Naming:
 class Scored:
     """The scores of a data set beside the known columns of the present model.
 
-    `left` are the data products after the fit of the known columns. `evidence` is the ln odds of each family,
-    `total` the ln odds that anything is missing, and `of_slip` ln of the likelihood ratio of a slip. `ratio`
-    is the index of the likeliest ratio of the two noise sizes.
+    `left` are the data products after the fit of the known columns. `evidence` is ln of the Bayes factor of each
+    family, `log_odds` the same times its prior probability, `total` ln of their sum: the odds that anything is
+    missing. `ratio` is the index of the likeliest ratio of the two noise sizes.
     """
 
     search: Search
     left: Data
     scores: Scores
     evidence: Mapping[str, float]
+    log_odds: Mapping[str, float]
     total: float
-    of_slip: float
     ratio: int
 
     @classmethod
@@ -117,37 +124,29 @@ class Scored:
 
     @classmethod
     def _beside(cls, whitened: Whitened, data: Data, known: Sequence[int]) -> Scored:
-        search = Search.beside(whitened, known)
+        search, candidates = Search.beside(whitened, known), whitened.candidates
         scores = search.score(data)
-        families = scores.families(whitened.candidates)[:, 0].tolist()
+        families = scores.families(candidates)[:, 0]
         return cls(
             search,
             search.left_over(data),
             scores,
-            dict(zip(whitened.candidates.families, families, strict=True)),
+            dict(zip(candidates.families, families.tolist(), strict=True)),
+            dict(zip(candidates.families, (families + candidates.log_prior).tolist(), strict=True)),
             float(total_evidence(scores, whitened)[0]),
-            float(search.likelihood_ratio(data, whitened.candidates.slips)[0]),
             int(np.argmax(scores.ratio[:, 0])),
         )
 
-    def best(self) -> FoundEffect:
-        """Return the best family in its best form."""
-        return self.found(max(self.evidence, key=lambda family: self.evidence[family]))
-
-    def foremost(self, threshold: Threshold) -> FoundEffect | None:
-        """Return what is missing before all else; None where nothing is missing.
-
-        Where a slip alone is more than chance, and all together are not, it is the slip.
-        """
-        if self.total >= threshold.value:
-            return self.best()
-        return self.found(SLIP) if threshold.by_slip(self.of_slip) else None
+    def best(self, among: Among | None = None) -> FoundEffect:
+        """Return the most probable family (of those `among`) in its best form."""
+        families = [f for f in self.log_odds if among is None or among(f)]
+        return self.found(max(families, key=lambda family: self.log_odds[family]))
 
     def found(self, family: str) -> FoundEffect:
         """Return the `family` as a find, in its form with the most evidence."""
         variant = self._best_variant(family)
         size = math.sqrt(self.explained(variant))
-        return FoundEffect(variant, self.evidence[family], self.total, size, of_slip=self.of_slip)
+        return FoundEffect(variant, self.evidence[family], self.total, size)
 
     def likeliest(self, family: str) -> Variant:
         """Return the form of a family that has the most evidence."""
@@ -162,8 +161,9 @@ class Scored:
         variants = self.search.whitened.candidates.variants
         evidence = self._forms(family)
         best = max(evidence, key=lambda i: evidence[i])
-        rivals = [i for i in evidence if evidence[best] - evidence[i] < LESS_PLAUSIBLE]
         by_pass = family in CATALOGUE and CATALOGUE[family].per_pass
+        share = np.exp(np.array(list(evidence.values())) - evidence[best])
+        rivals = [i for i, part in zip(evidence, share, strict=True) if part > (1.0 - ALONE) * share.sum()]
         if not by_pass and any(variants[i].mounts != variants[best].mounts for i in rivals):
             # which mounting has it cannot be told: each gets a value of its own, with the u that this deserves
             best = max(rivals, key=lambda i: (len(variants[i].columns), evidence[i]))
@@ -183,12 +183,15 @@ class Scored:
         return np.asarray(amplitude, dtype=np.float64), gram
 
 
+Among = Callable[[str], bool]
+"""Says of a family whether it may be found."""
+
 MOST_KEPT: Final = 24
 """The number of scored models that are cached for the data scored last."""
 
 
 def _kept(whitened: Whitened, data: Data) -> dict[tuple[int, ...], Scored]:
-    """Return what is kept of these data, by the columns that the model had; of other data it is forgotten."""
+    """Return the scores cached for these data, by the columns of the model; those of other data are dropped."""
     if whitened.kept.get("data") is not data:
         whitened.kept.clear()
         whitened.kept.update(data=data, scored={}, pairs={})
@@ -202,20 +205,30 @@ def name(
     threshold: Threshold,
     most: int = MOST_EFFECTS,
     begun: Sequence[FoundEffect] = (),
+    among: Among | None = None,
 ) -> Naming:
-    """Find what is missing in one data set, `most` effects at most beside those that were `begun` with."""
-    found = list(begun)
+    """Find what is missing in one data set, `most` effects at most beside those that were `begun` with.
+
+    With `among` no other families are found; all count in the odds that something is missing.
+    """
+    found, free = list(begun), len(begun)
     while True:
         scored = Scored.beside(whitened, data, _columns(found))
-        best = scored.foremost(threshold)
-        if best is None or len(found) == most + len(begun):
+        if scored.total < threshold.value or len(found) == most + free:
             break
-        pair = None if best.variant.named else _pair_kept(scored, data, best)
+        best = scored.best(among)
+        pair = None if best.variant.named or among is not None else _pair_kept(scored, data, best)
         found += pair or [best]
         if len(found) > 1:
-            found = held(whitened, data, _re_examine(whitened, data, found, threshold), threshold)
+            kept = free if among is not None else 0
+            found = needed(
+                whitened, data, _re_examine(whitened, data, found, threshold, among, kept), threshold, kept
+            )
+            if found == begun:
+                break
+    scored = Scored.beside(whitened, data, _columns(found))
     found_tied = tuple(
-        tied(Scored.beside(whitened, data, _columns(found, but=i)), f) for i, f in enumerate(found)
+        in_place(Scored.beside(whitened, data, _columns(found, but=i)), f, among) for i, f in enumerate(found)
     )
     return Naming(found_tied, scored.total)
 
@@ -231,19 +244,20 @@ def _pair_kept(scored: Scored, data: Data, unnamed: FoundEffect) -> list[FoundEf
 
 
 def _named_pair(scored: Scored, data: Data, unnamed: FoundEffect) -> list[FoundEffect] | None:
-    """Return two effects of the catalogue that together explain what only an unnamed family does alone.
+    """Return two effects of the catalogue that together are more plausible than one unnamed family.
 
-    Something free explains two effects of one channel at once, and would hide both. Which pair is the best the
-    likeliest ratio of the noise sizes tells; all of them say how good it is.
+    An unnamed family may explain two effects of one channel at once. The likeliest ratio of the noise sizes
+    selects the pair; all ratios decide how plausible it is.
     """
     search, evidence = scored.search, scored.evidence
-    named = [family for family in evidence if family not in UNNAMED]
+    candidates = search.whitened.candidates
+    named = [family for family in evidence if family in CATALOGUE]
     firsts = [scored.found(f) for f in sorted(named, key=lambda f: -evidence[f])[:FIRST_OF_PAIR]]
     models = [[*search.known, *first.variant.columns] for first in firsts]
     seconds = beside_each(search.whitened.at(scored.ratio), data.at(scored.ratio), models)
-    families = search.whitened.candidates.families
+    families = candidates.families
     joint = [
-        first.evidence + float(of_first.max()) if families[int(of_first.argmax())] not in UNNAMED else -np.inf
+        first.evidence + float(of_first.max()) if families[int(of_first.argmax())] in CATALOGUE else -np.inf
         for first, of_first in zip(firsts, seconds.T, strict=True)
     ]
     if max(joint, default=-np.inf) == -np.inf:
@@ -254,19 +268,23 @@ def _named_pair(scored: Scored, data: Data, unnamed: FoundEffect) -> list[FoundE
     return [first, second] if second.variant.named and enough else None
 
 
-def _columns(found: list[FoundEffect], but: int | None = None) -> list[int]:
+def _columns(found: Sequence[FoundEffect], but: int | None = None) -> list[int]:
     return [column for i, f in enumerate(found) if i != but for column in f.variant.columns]
 
 
 def _re_examine(
-    whitened: Whitened, data: Data, found: list[FoundEffect], threshold: Threshold
+    whitened: Whitened,
+    data: Data,
+    found: list[FoundEffect],
+    threshold: Threshold,
+    among: Among | None,
+    kept: int,
 ) -> list[FoundEffect]:
-    """Test each earlier find again beside all others, as it may have replaced another effect."""
+    """Test each earlier find but the first `kept` beside all others, as it may have replaced another effect."""
     for _ in range(2):
         changed = False
-        for i in range(len(found)):
-            scored = Scored.beside(whitened, data, _columns(found, but=i))
-            best = scored.foremost(threshold) or scored.best()
+        for i in range(kept, len(found)):
+            best = Scored.beside(whitened, data, _columns(found, but=i)).best(among)
             if best.variant != found[i].variant:
                 found[i], changed = best, True
         if not changed:
@@ -274,81 +292,100 @@ def _re_examine(
     return found
 
 
-def held(whitened: Whitened, data: Data, found: list[FoundEffect], threshold: Threshold) -> list[FoundEffect]:
-    """Leave out, the weakest first, what is no longer needed beside the others: without it nothing is missing."""
-    while len(found) > 1:
-        without = [Scored.beside(whitened, data, _columns(found, but=i)) for i in range(len(found))]
+def needed(
+    whitened: Whitened, data: Data, found: list[FoundEffect], threshold: Threshold, kept: int = 0
+) -> list[FoundEffect]:
+    """Drop finds, the weakest first, without which nothing is missing; the first `kept` stay."""
+    while len(found) > max(kept, 1):
+        without = [Scored.beside(whitened, data, _columns(found, but=i)) for i in range(kept, len(found))]
         weakest = int(np.argmin([scored.total for scored in without]))
-        if threshold.reached(without[weakest].total, without[weakest].of_slip):
+        if without[weakest].total >= threshold.value:
             break
-        found = [f for i, f in enumerate(found) if i != weakest]
+        found = [f for i, f in enumerate(found) if i != weakest + kept]
     return found
 
 
-def tied(scored: Scored, one: FoundEffect) -> FoundEffect:
-    """Find which other effects would explain what `one` explains; `scored` is beside all others that were found."""
-    evidence = scored.evidence
-    amplitude, gram = scored.amplitude(one.variant)
-    explained = float(amplitude @ gram @ amplitude)
-    enough = max(explained - LEAK**2, LEAST_EXPLAINED * explained)
-    smallest = _explaining(scored, one.variant, enough)
-    likeliest = scored.likeliest(one.variant.family)
-    same = _explaining(scored, likeliest, (1.0 - SAME) * scored.explained(likeliest), most=ANY_SIZE)
-    fewest = min(len(one.variant.columns), smallest.get(one.variant.family, len(one.variant.columns)))
-    ties: list[str] = []
-    plainer: list[str] = []
-    for family in evidence:
-        if family == one.variant.family:
-            continue
-        near = evidence[family] > max(evidence[one.variant.family] - LESS_PLAUSIBLE, 0.0)
-        # what is free explains anything: it ties by its evidence alone
-        rank = None if family in UNNAMED else smallest.get(family)
-        larger = rank is not None and rank > fewest
-        if one.variant.named and larger and _subsystem(family) == _subsystem(one.variant.family):
-            plainer.append(family)
-        elif near or rank is not None:
-            ties.append(family)
+def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> FoundEffect:
+    """Return a find with the odds of all families in its place; `scored` is beside all other finds."""
+    family, evidence = one.variant.family, scored.evidence
+    ranked = sorted(
+        (f for f in scored.log_odds if among is None or among(f)), key=lambda f: -scored.log_odds[f]
+    )
+    logs = np.array([scored.log_odds[f] for f in ranked])
+    share = np.exp(logs - logsumexp(logs))
+    odds = [FamilyOdds(f, float(p)) for f, p in zip(ranked, share, strict=True)]
+    likely = _holding(odds)
+    explained = scored.explained(one.variant)
+    aliases = _aliases(scored, one.variant, explained - ALIAS**2) if explained > (2 * ALIAS) ** 2 else {}
+    fewest = min(len(one.variant.columns), aliases.pop(family, len(one.variant.columns)))
+    plainer = [f for f, rank in aliases.items() if rank > fewest and _subsystem(f) == _subsystem(family)]
+    ties = [f for f in likely if f != family]
+    ties += [f for f in ranked if f in aliases and f not in plainer and f not in ties]
+    shape = scored.likeliest(family)
+    same = _aliases(scored, shape, (1.0 - SAME) * scored.explained(shape), most=math.inf) if ties else {}
     return replace(
         one,
-        evidence=evidence[one.variant.family],
+        evidence=evidence[family],
         total=scored.total,
-        of_slip=scored.of_slip,
         size=math.sqrt(max(explained, 0.0)),
-        ties=tuple(sorted(ties, key=lambda f: -evidence[f])),
-        plainer_than=tuple(plainer),
-        same=tuple(family for family in ties if family in same and family not in UNNAMED),
+        ties=tuple(ties),
+        plainer_than=tuple(f for f in plainer if f not in ties),
+        same=tuple(f for f in ties if f in same),
+        odds=tuple(o for o in odds if o.probability >= LEAST_SAID or o.name in ties),
     )
 
 
-def _explaining(scored: Scored, variant: Variant, enough: float, most: float = ABSURD) -> dict[str, int]:
-    """Return the families that explain `enough` of a signature, with the fewest numbers that it takes them.
+LEAST_SAID: Final = 1e-3
+"""Families of lower probability are not listed."""
+
+
+def _holding(odds: Sequence[FamilyOdds]) -> list[str]:
+    """Return the first family where it is probable enough to stand alone, else those that hold `SET` together."""
+    if odds[0].probability >= ALONE:
+        return [odds[0].name]
+    held, chosen = 0.0, []
+    for one in odds:
+        chosen.append(one.name)
+        held += one.probability
+        if held >= SET:
+            break
+    return chosen
+
+
+def _aliases(scored: Scored, variant: Variant, enough: float, most: float = ABSURD) -> dict[str, int]:
+    """Return the effects that explain `enough` of a signature, with the fewest numbers that they need for it.
 
     None of them may have to be more than `most` plausible sizes large.
     """
+    if not variant.named:
+        return {}
     search, ratio = scored.search, scored.ratio
+    variants = search.whitened.candidates.variants
     across = search.along(ratio, variant.columns, scored.amplitude(variant)[0])
+    least = max(1.0 / most**2, 1e-10)
     fewest: dict[str, int] = {}
     for group in search.groups:
         values = group.values[ratio]
         along = np.einsum("vpk,vp->vk", group.vectors[ratio], across[group.columns])
-        taken = np.sum(along**2 / (values + 1.0 / most**2), axis=1)
+        taken = np.sum(along**2 / (values + least), axis=1)
         for place in np.flatnonzero(taken > enough):
-            family = search.whitened.candidates.variants[group.members[place]].family
-            rank = int(np.count_nonzero(values[place] > 1.0 / most**2))
-            fewest[family] = min(rank, fewest.get(family, rank))
+            one = variants[group.members[place]]
+            if one.named:
+                rank = int(np.count_nonzero(values[place] > least))
+                fewest[one.family] = min(rank, fewest.get(one.family, rank))
     return fewest
 
 
 def _subsystem(family: str) -> object:
-    return CATALOGUE[family].subsystem
+    return CATALOGUE[family].subsystem if family in CATALOGUE else None
 
 
 def same_signature(naming: Naming) -> Iterator[str]:
-    """Yield a sentence for each effect that was found and that others would have done the very same as."""
+    """Yield a sentence for each find whose signature in these readings other effects have, too."""
     for one in naming.found:
         if one.same:
             at = f" in {', '.join(one.variant.mounts)}" if one.variant.mounts else ""
             yield (
-                f"{one.variant.family}{at} and {', '.join(one.same)} do the very same in all of these readings: "
-                "which it is, none of them can tell at any size"
+                f"{one.variant.family}{at} and {', '.join(one.same)} have the same signature in all of these "
+                "readings: no size of it could tell them apart"
             )

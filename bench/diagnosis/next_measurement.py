@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from scipy import special
 
 from bench.base.arrays import Floats
 from bench.base.computing import tracked
@@ -21,6 +23,7 @@ from bench.config.procedure.plan import Plan, Read, SelectInput, SetTemperature
 from bench.config.shipped import PROCEDURES, shipped_folder
 from bench.diagnosis.candidates import in_volts
 from bench.diagnosis.linear import LinearSystem, make_linear
+from bench.diagnosis.naming import ALIAS, ALONE
 from bench.diagnosis.result import Diagnosis
 from bench.diagnosis.visibility import ReadingDesign, form_of, forms_everywhere, forms_of
 from bench.model.conditions import Conditions
@@ -163,11 +166,47 @@ class Separation:
 
 
 @dataclass(frozen=True)
+class Chance:
+    """The probability that a procedure gives one name of each tie a posterior of `ALONE`, and its time."""
+
+    procedure: str
+    hours: float
+    answers: float
+
+
+def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) -> float:
+    """Return the probability that a posterior reaches `ALONE`: of the name `first`, or of one of its rivals.
+
+    `odds` are the present posteriors; `gained` is for each rival what new readings add to D against `first`, -inf
+    for one that stays an alias, which no odds answer. Where
+    one of two names is true, ln of their odds grows by a normal number of mean D and variance 2 D. Of several
+    rivals the one that is hardest to tell from the true name decides; D between two rivals is not looked at.
+    """
+    enough = math.log(ALONE / (1.0 - ALONE))
+
+    def reached(one: str, other: str, d: float) -> float:
+        if d == -math.inf:
+            return 0.0
+        mean, spread = math.log(odds[one] / odds[other]) + d, math.sqrt(2.0 * max(d, NOTHING))
+        return float(special.ndtr((mean - enough) / spread) + special.ndtr((-enough - mean) / spread))
+
+    rivals = [name for name in gained if odds.get(name, 0.0) > 0.0]
+    told = odds[first] * min((reached(first, other, gained[other]) for other in rivals), default=1.0)
+    told += sum(odds[other] * reached(other, first, gained[other]) for other in rivals)
+    return told / (odds[first] + sum(odds[other] for other in rivals))
+
+
+NOTHING: Final = 1e-12
+"""A D of rounding: the odds stay as they are."""
+
+
+@dataclass(frozen=True)
 class Proposal:
     """What to measure next and why. `minutes` is the expected time; `shows` are effects hidden so far.
 
     `source` is the procedure on the menu, `written` the file with the reason on top; `left_out` says of each
-    procedure that this bench cannot carry out why.
+    procedure that this bench cannot carry out why. `chances` are those of all procedures of the menu where there
+    are ties, the likeliest to answer first.
     """
 
     why: str
@@ -177,6 +216,12 @@ class Proposal:
     shows: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
     written: Path | None = None
+    chances: tuple[Chance, ...] = ()
+
+    @property
+    def surer(self) -> Chance | None:
+        """What the proposed procedure costs and gives; None where nothing is tied."""
+        return next((one for one in self.chances if one.procedure == self.name), None)
 
     @property
     def name(self) -> str:
@@ -276,9 +321,10 @@ class _Bill:
     def settling(self) -> Proposal | None:
         """Return the procedure that settles the ties."""
         before = self._divergences(None)
-        bills = []
+        bills, chances = [], []
         for path, plan in self.plans.items():
             after = self._divergences(plan)
+            chances.append(Chance(path.stem, self._minutes(plan) / 60.0, self._answers(before, after)))
             pairs = [Separation(*pair, before[pair], after[pair]) for pair in before]
             helped = tuple(s for s in pairs if s.after - s.before >= HELPS)
             if helped:
@@ -291,7 +337,25 @@ class _Bill:
         else:
             path, minutes, settles = max(bills, key=lambda b: sum(s.after - s.before for s in b[2]) / b[1])
         why = _why_settles(settles, path.stem, minutes) + self._without()
-        return Proposal(why, path, minutes, settles, left_out=self.left_out)
+        chances.sort(key=lambda one: (-one.answers, one.hours))
+        return Proposal(why, path, minutes, settles, left_out=self.left_out, chances=tuple(chances))
+
+    def _answers(
+        self, before: Mapping[tuple[str, str], float], after: Mapping[tuple[str, str], float]
+    ) -> float:
+        """Return the probability that every tie gets an answer."""
+        whole = 1.0
+        for effect in self._diagnosis.effects:
+            gained = {
+                other: after[pair] - before[pair] if after[pair] > ALIAS**2 / 2.0 else -math.inf
+                for pair in before
+                for name, other in [pair]
+                if name == effect.name
+            }
+            odds = {one.name: one.probability for one in effect.odds}
+            if gained and odds.get(effect.name, 0.0) > 0.0:
+                whole *= answers(odds, gained, effect.name)
+        return whole
 
     def _divergences(self, plan: Plan | None) -> dict[tuple[str, str], float]:
         """Return D of each effect that was found against each that it cannot be told from."""

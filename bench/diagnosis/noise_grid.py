@@ -159,6 +159,8 @@ def make_noise_grid(
     oriented = linear.setting >= 0
     scaled2 = (linear.slope / linear.relative)[oriented] ** 2
     slope2 = np.bincount(linear.setting[oriented], scaled2, linear.settings).astype(np.float64)
+    if not len(slope2):
+        slope2, ratios = np.ones(1), ratios[:1]  # where nothing is set, no setting has an error
     typical = float(np.sqrt(np.mean(slope2)))
     known = np.log(max(setting_rad * typical / sigma, 1e-2)) if setting_rad > 0 else None
     wide = _wide(linear)

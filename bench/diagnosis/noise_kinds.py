@@ -1,9 +1,15 @@
-"""Weights of readings, and kinds of noise: slow, rounded, heavy-tailed, by channel; compared with repeats."""
+"""Hypotheses on the noise, compared by evidence: by channel, heavy-tailed, slow; and noise larger than stated.
+
+A hypothesis changes the covariance of the readings, so that all hypotheses on the noise and on what is missing
+explain the same numbers. For heavy tails each row has a precision of its own with the prior that makes its noise
+a t distribution (Tipping and Lawrence, Neurocomputing 69 (2005) 123); how plausible they are is the likelihood
+ratio of the residuals.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final, NamedTuple
@@ -13,140 +19,96 @@ from scipy import special
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, rms
 from bench.base.numbers import quantity
-from bench.diagnosis.candidates import Candidates
-from bench.diagnosis.evidence import KNOWN_SIZE, Data, Search, Whitened, total_evidence
+from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.linear import LinearSystem, RunSizes
-from bench.diagnosis.mistakes.single_readings import BEYOND_TAILS, LEAST_VALUES, odds_of_tails
-from bench.diagnosis.naming import FoundEffect, Naming
-from bench.diagnosis.noise_grid import Whitener, cells_of, is_coarse, make_whitener
-from bench.diagnosis.posterior import NoiseSize, noise_size, posterior, whiten_rows
+from bench.diagnosis.mistakes.single_readings import odds_of_tails
+from bench.diagnosis.noise_grid import (
+    NoiseGrid,
+    Whitener,
+    cells_of,
+    is_coarse,
+    make_noise_grid,
+    make_whitener,
+)
+from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows
 from bench.readings.table import Readings
 from bench.stats.repeats_likelihood import believed_sizes
 
-CLIP: Final = 2.5
-"""Robust standard deviations beyond which a reading is weighed down."""
+LOG_PRIOR: Final = {"channels": math.log(0.1), "tails": math.log(0.1), "slow": math.log(0.1)}
+"""ln of the prior odds of each kind of noise against noise that is normal and of one size."""
+TAIL_DOF: Final = 4.0
+"""Degrees of freedom of the t distribution that stands for heavy tails."""
+ROUNDS: Final = 8
+"""Rounds of the fit with heavy tails; the bound is at rest by then."""
 OF_READING: Final = 0.4
 """A row tells of the noise of readings where the fit, which has the error of its setting in it, leaves as much."""
 FREEST: Final = 0.05
-"""Lower limit of the fraction of a reading that the fit leaves."""
-SURE_OF_WEIGHTS: Final = -0.5
-"""Tails count as heavy where ln of the odds for them is more: of normal noise it is about -5."""
-CLEARLY: Final = 3.0
-"""An effect in a few readings is there where ln of its odds is so much above that of the tails."""
-ROUNDS: Final = 8
-ROBUST: Final = 1.4826
-"""Median of absolute values to standard deviation, of normal noise."""
+"""Lower limit of the part of a row that the fit leaves."""
+LIGHT: Final = 0.4
+"""A row counts as weighed down where its weight is below this part of the usual one."""
+WAVES: Final = 16
+"""Half waves over a run that slow noise has at most."""
+SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
+"""Sizes of slow noise, root mean squares in units of the noise of a reading, alike in their prior probability."""
 
 
 @dataclass(frozen=True)
-class WeighedDown:
-    """Result of weighting for heavy tails: row changes `pull` (N,), count of `readings`, ln `odds`."""
+class NoiseHypothesis:
+    """A kind of noise: the system with it, and ln of its prior odds and of what its sizes cost.
 
-    pull: Floats
-    readings: int
-    odds: float
-
-
-def weigh_down(
-    linear: LinearSystem, candidates: Candidates, naming: Naming, noise: NoiseSize
-) -> WeighedDown | None:
-    """Return how readings are weighed down beside what was found; None where the noise has no heavy tails.
-
-    What shows in a few readings alone is what tails look like: single readings are among those that are weighed
-    where tails reach as far, an effect too where its evidence is not clearly above that of the tails.
-    """
-    few = [found for found in naming.found if _in_few(candidates, found)]
-    named = [found for found in few if found.variant.named]
-    few = [found for found in few if found.variant.named or found.size < BEYOND_TAILS]
-    weighed = _weighed(linear, candidates, [f for f in naming.found if f not in few], noise)
-    if not named or weighed is None:
-        return weighed
-    if sum(found.total for found in named) < weighed.odds + CLEARLY:
-        return weighed
-    return _weighed(linear, candidates, [f for f in naming.found if f not in few or f in named], noise)
-
-
-def _in_few(candidates: Candidates, found: FoundEffect) -> bool:
-    """Return whether a find shows in too few rows to be told from heavy tails."""
-    rows = np.any(candidates.columns[:, list(found.variant.columns)] != 0.0, axis=1)
-    return bool(np.count_nonzero(rows) < LEAST_VALUES)
-
-
-def _weighed(
-    linear: LinearSystem, candidates: Candidates, beside: Sequence[FoundEffect], noise: NoiseSize
-) -> WeighedDown | None:
-    columns = [i for found in beside for i in found.variant.columns]
-    fit = _Fit.of(linear, candidates.columns[:, columns], noise)
-    spread = noise.reading * linear.relative * np.sqrt(np.maximum(fit.free, FREEST))
-    size = (linear.response - fit @ linear.response) / spread
-    telling = fit.free > OF_READING
-    by_channel = [size[telling & (linear.rows.channel == c)] for c in range(4)]
-    odds = odds_of_tails(np.concatenate(_alike(by_channel)))
-    if odds < SURE_OF_WEIGHTS:
-        return None
-    scale = np.array([_robust(of if len(of) >= LEAST_VALUES else size[telling]) for of in by_channel])
-    limit = CLIP * spread * scale[linear.rows.channel]
-    response = linear.response
-    for _ in range(ROUNDS):
-        fitted = fit @ response
-        response = fitted + np.clip(linear.response - fitted, -limit, limit)
-    pull = response - linear.response
-    changed = np.abs(pull) > 0.1 * limit
-    return WeighedDown(pull, len(set(linear.rows.reading[changed].tolist())), odds)
-
-
-def _robust(values: Floats) -> float:
-    """Return the standard deviation that a normal noise of the same median absolute value has."""
-    return ROBUST * float(np.median(np.abs(values))) if len(values) else 1.0
-
-
-def _alike(by_channel: list[Floats]) -> list[Floats]:
-    """Return the values of each channel by their own root mean square; those of the moduli, few, as they are."""
-    of_channels = [of / max(float(np.sqrt(np.mean(of**2))), 1e-300) for of in by_channel[:3] if len(of)]
-    return [*of_channels, by_channel[3]]
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """What is fitted of responses (N,), each setting's error too; `free` (N,) is what it leaves of each row."""
-
-    white: Whitener
-    noise2: Floats
-    free: Floats
-
-    @classmethod
-    def of(cls, linear: LinearSystem, effects: Floats, noise: NoiseSize) -> _Fit:
-        """Fit the system with its stand angles and the effects' columns (N, m), all within their priors."""
-        random = np.concatenate([linear.random, effects * KNOWN_SIZE], axis=1)
-        white = make_whitener(replace(linear, random=random), noise.reading, noise.setting_rad)
-        return cls(white, linear.relative**2, linear.relative**2 * white.diagonal)
-
-    def __matmul__(self, response: Floats) -> Floats:
-        # the noise of readings is what is left: its covariance by that of all, weighed
-        return np.asarray(response - self.noise2 * self.white.weigh(response))
-
-
-UNEQUAL_P: Final = 0.01
-"""Channels have noise of different sizes where the p-value of equal sizes is below this."""
-
-
-@dataclass(frozen=True)
-class ChannelSizes:
-    """Sizes (3,) of the channels' noise, 1 on the average of squares, and all 1 where they are alike.
-
-    `evidence` is ln odds that they have sizes of their own against one of all, no size of it more likely before.
+    `what` is "channels", "tails" or "slow". `words` are for people.
     """
 
-    sizes: Floats
-    evidence: float
+    what: str
+    linear: LinearSystem
+    log_odds: float
+    words: str
 
 
-def by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, floor: float) -> ChannelSizes:
-    """Return the sizes of the channels' noise.
+def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
+    """Yield the kinds of noise, in their likeliest sizes beside the effects' columns (N, m)."""
+    yield from _by_channel(linear, effects, noise)
+    yield from _with_tails(linear, effects, noise)
+    yield from _slow(linear, effects, noise)
 
-    `left` (n, 3) is what a description leaves of each setting, `freedom` (n,) how much of it the description does
-    not take up, `slope` (n, 3) du/dphi: what goes along it is the setting's. `cells` (n,) number settings with
-    the same slope, `floor` is the least noise that is believed, unit of the signal.
+
+def log_null(grid: NoiseGrid) -> float:
+    """Return ln of what the evidence has of the unit of the noise: grids of different units become comparable."""
+    return -grid.freedom * math.log(grid.sigma)
+
+
+# --- channels with noise of their own -------------------------------------------------------------
+
+
+def _by_channel(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
+    fitted = posterior(linear, effects, noise)
+    design = np.concatenate([linear.fixed, linear.random, effects], axis=1)
+    white = whiten_rows(linear, noise, design, np.ones(len(linear), dtype=bool))
+    free = 1.0 - np.einsum("np,pq,nq->n", white, fitted.covariance, white, optimize=True)
+    oriented = linear.setting >= 0
+    other = linear.relative / linear.relative_of_channel
+    left = ((linear.response - design @ fitted.mean) / other)[oriented].reshape(-1, 3)
+    slope = (linear.slope / other)[oriented].reshape(-1, 3)
+    floor = 1e-11 * float(np.max(np.abs(linear.readings.signal)))
+    freedom = free[oriented].reshape(-1, 3).mean(axis=1)
+    sizes = sizes_by_channel(left, freedom, slope, cells_of(linear), floor)
+    if np.max(np.abs(np.log(sizes / linear.by_channel))) < SAME_SIZE:
+        return
+    cost = 0.0 if np.any(linear.by_channel != 1.0) else -math.log(max(float(freedom.sum()), 1.0))
+    prior = 0.0 if np.any(linear.by_channel != 1.0) else LOG_PRIOR["channels"]
+    yield NoiseHypothesis("channels", replace(linear, by_channel=sizes), prior + cost, "")
+
+
+SAME_SIZE: Final = 0.1
+"""Relative difference within which sizes of noise count as the same."""
+
+
+def sizes_by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, floor: float) -> Floats:
+    """Return the relative sizes (3,) of the channels' noise, 1 on the average of squares.
+
+    `left` (n, 3) are the residuals of each setting, `freedom` (n,) the part of it that the description does not
+    take up, `slope` (n, 3) du/dphi: what lies along it is the setting's. `cells` (n,) number settings with the same
+    slope, `floor` is the least noise that is believed, unit of the signal.
     """
     count = int(cells.max()) + 1
     free = np.bincount(cells, freedom, count)
@@ -155,14 +117,8 @@ def by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, floor:
     mean = _by_cell(slope, cells, count) / np.bincount(cells, minlength=count)[:, None]
     used = free > 1e-6
     scatter, free = scatter[used].reshape(1, -1, 3, 3), free[used]
-    found = believed_sizes(scatter, free, mean[used][None], floor)
-    p_equal = float(found.p_equal[0])
-    # of a chi-square with two degrees of freedom half is -ln p; two sizes more cost ln n (Schwarz's criterion)
-    evidence = -math.log(max(p_equal, 1e-300)) - math.log(max(float(free.sum()), 1.0))
-    if p_equal > UNEQUAL_P:
-        return ChannelSizes(np.ones(3), evidence)
-    sizes = np.sqrt(found.variances[0, :3])
-    return ChannelSizes(np.asarray(sizes / rms(sizes)), evidence)
+    sizes = np.sqrt(believed_sizes(scatter, free, mean[used][None], floor).variances[0, :3])
+    return np.asarray(sizes / rms(sizes))
 
 
 def _by_cell(columns: Floats, cells: Ints, count: int) -> Floats:
@@ -170,148 +126,133 @@ def _by_cell(columns: Floats, cells: Ints, count: int) -> Floats:
     return np.asarray(np.stack(sums, axis=1), dtype=np.float64)
 
 
-def sizes_left(
-    linear: LinearSystem, candidates: Candidates, whitened: Whitened, data: Data, columns: Sequence[int]
-) -> ChannelSizes:
-    """Return the sizes of the channels' noise from what the model leaves with these columns of what was found."""
-    noise = noise_size(whitened, data, tuple(columns))
-    effects = candidates.columns[:, list(columns)]
-    fitted = posterior(linear, effects, noise)
-    design = np.concatenate([linear.fixed, linear.random, effects], axis=1)
-    rows = np.ones(len(linear), dtype=bool)
-    white = whiten_rows(linear, noise, design, rows)
-    free = 1.0 - np.einsum("np,pq,nq->n", white, fitted.covariance, white, optimize=True)
-    oriented = linear.setting >= 0
-    of_run = linear.relative_of_run
-    left = ((linear.response - design @ fitted.mean) / of_run)[oriented].reshape(-1, 3)
-    slope = (linear.slope / of_run)[oriented].reshape(-1, 3)
-    floor = 1e-11 * float(np.max(np.abs(linear.readings.signal)))
-    return by_channel(left, free[oriented].reshape(-1, 3).mean(axis=1), slope, cells_of(linear), floor)
+# --- heavy tails ------------------------------------------------------------------------------------
 
 
-# --- what kind of noise it is ---------------------------------------------------------------------
+def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
+    """Yield noise with the tails of a t distribution, as a precision of each row (`by_row`)."""
+    if linear.by_row is not None:
+        return
+    plain = linear
+    random = np.concatenate([plain.random, effects * KNOWN_SIZE], axis=1)
+    relative2 = plain.relative**2
+    weight: Floats = np.ones(len(linear))
+    scale, odds = noise.reading, 0.0
+    for number in range(ROUNDS):
+        rows = replace(plain, random=random, by_row=1.0 / np.sqrt(weight))
+        white = make_whitener(rows, scale, noise.setting_rad)
+        variance = relative2 / weight
+        left = variance * white.weigh(plain.response)
+        free = np.clip(variance * white.diagonal, FREEST, 1.0)
+        if number == 0:
+            odds = _odds_of_tails(linear, left / np.sqrt(relative2 * free), free)
+        square = left**2 / (relative2 * scale**2) + (1.0 - free) / weight
+        scale *= math.sqrt(float(np.sum(weight * left**2 / relative2) / scale**2 / max(free.sum(), 1.0)))
+        weight = (TAIL_DOF + 1.0) / (TAIL_DOF + square)
+    told = replace(plain, by_row=1.0 / np.sqrt(weight * float(np.mean(1.0 / weight))))
+    changed = weight < LIGHT * float(np.median(weight))
+    readings = len(set(linear.rows.reading[changed].tolist()))
+    ratio = noise.setting_rad / noise.reading
+    more = log_density(told, random, scale, ratio) - log_density(plain, random, noise.reading, ratio)
+    yield NoiseHypothesis(
+        "tails",
+        told,
+        LOG_PRIOR["tails"] + odds - more,
+        f"the noise has heavier tails than a normal one: {readings} readings are weighed down, and an outlier is "
+        "named only where it is far beyond them",
+    )
 
 
-WAVES: Final = 16
-"""Half waves over a run, the slowest of them."""
-SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
-"""Trial sizes of slow noise: root mean squares in units of the noise of a reading."""
-SURE: Final = 1e-3
-"""Slow noise is significant where the p-value of its likelihood ratio is below this."""
-BESIDE: Final = (0.25, 0.5, 1.0, 2.0)
-"""Sizes of slow noise of all channels beside which what was found must hold, in units of the noise of a reading."""
+def _odds_of_tails(linear: LinearSystem, size: Floats, free: Floats) -> float:
+    """Return ln of the likelihood of heavy tails over that of normal noise, of the rows that tell of their noise.
+
+    `size` (N,) are the residuals in units of what the fit leaves of them, `free` (N,) the part that it leaves.
+    """
+    telling = free > OF_READING
+    by_channel = [size[telling & (linear.rows.channel == c)] for c in range(4)]
+    alike = [of / max(rms(of), 1e-300) for of in by_channel[:3] if len(of)]
+    return odds_of_tails(np.concatenate(alike)) if alike else 0.0
+
+
+def log_density(linear: LinearSystem, random: Floats, sigma: float, ratio: float) -> float:
+    """Return ln of the evidence of a noise with these `random` columns, its size integrated over."""
+    slope = linear.typical_slope
+    grid = make_noise_grid(replace(linear, random=random), sigma, 0.0, [ratio * slope])
+    square = np.sum((grid.white[0] @ linear.response / sigma) ** 2)
+    return float(grid.log_det[0] + grid.log_likelihood(np.atleast_1d(square))[0]) + log_null(grid)
+
+
+# --- slow noise ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class SlowNoise:
     """Noise of a channel (0, 1, 2) that is slow: `size` its root mean square over a run, unit of the signal.
 
-    `columns` (N, waves) are draws of unit variance of it, in the rows of the system; `odds` is ln of its
-    evidence over that of none, of whatever size: its share, where it is of all channels alike. Where it is not
-    `sure` it does not show by itself: it only explains the readings as well as an effect does.
+    `columns` (N, waves) are draws of unit variance of it, in the rows of the system; `cost` is ln of the mean over
+    all sizes of its likelihood, over that at the likeliest size.
     """
 
     channel: int
     size: float
-    odds: float
+    cost: float
     columns: Floats
-    sure: bool = True
 
 
-def slow_noise(linear: LinearSystem, whitened: Whitened, ratio: int) -> tuple[SlowNoise, ...]:
-    """Return the slow noise of each channel that has it, beside the coefficients and the stand's errors.
-
-    `ratio` is the number of that of the two noise sizes in the grid of `whitened`.
-    """
-    return tuple(_found(linear, whitened, ratio))
-
-
-def _found(linear: LinearSystem, whitened: Whitened, ratio: int) -> Iterator[SlowNoise]:
-    white, sigma, freedom = whitened.grid.white[ratio], whitened.grid.sigma, whitened.grid.freedom
-    left = white @ (linear.response / sigma)
-    for channel in range(3):
-        waves = _waves(linear, channel)
-        if waves is None:
-            continue
-        inside = white @ waves  # those of a size of sigma
-        values, vectors = np.linalg.eigh(inside.T @ inside)
-        values = np.maximum(values, 0.0)
-        square = (vectors.T @ (inside.T @ left)) ** 2
-        variances = np.array(SIZES) ** 2
-        weighed = 1.0 / (1.0 + variances[:, None] * values)
-        rest = left @ left - np.sum(variances[:, None] * square * weighed, axis=1)
-        likelihood = 0.5 * np.sum(np.log(weighed), axis=1) - 0.5 * freedom * np.log(rest)
-        best = int(np.argmax(likelihood))
-        none = -0.5 * freedom * np.log(left @ left)
-        more = float(likelihood[best] - none)
-        # of one channel in three, of any size alike: the price that names pay for their forms, too
-        odds = float(special.logsumexp(likelihood - none) - np.log(3 * len(SIZES)))
-        p = 0.5 * float(special.chdtrc(1, 2.0 * max(more, 0.0)))
-        if p < SURE:
-            # white noise beside it is smaller than what was found without it
-            size = SIZES[best] * sigma * float(np.sqrt(rest[best] / freedom))
-            yield SlowNoise(channel, size, odds, size * waves)
+def _slow(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
+    if linear.slow_channels:
+        return
+    found = slow_noise(linear, effects, noise)
+    if not found:
+        return
+    told = ", ".join(
+        f"{quantity(one.size, linear.readings.unit)} in {CHANNELS[one.channel]}" for one in found
+    )
+    system = linear.with_noise(*(one.columns for one in found))
+    yield NoiseHypothesis(
+        "slow",
+        replace(system, slow_channels=tuple(one.channel for one in found)),
+        LOG_PRIOR["slow"] + sum(one.cost for one in found),
+        f"beside the noise of a reading there is slow noise, over the run {told} (root mean square): a drift "
+        "that is no larger stays hidden in it, and the u of the coefficients holds it",
+    )
 
 
-@dataclass(frozen=True)
-class SlowNoiseOdds:
-    """What slow noise of all channels, of whatever size, leaves of the odds that anything is missing.
+def slow_noise(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[SlowNoise, ...]:
+    """Return the slow noise of each channel that is likelier with it, beside the effects' columns (N, m)."""
+    random = np.concatenate([linear.random, effects * KNOWN_SIZE], axis=1)
+    white = make_whitener(replace(linear, random=random), noise.reading, noise.setting_rad)
+    left = white @ (linear.response / noise.reading)
+    return tuple(
+        one
+        for channel in range(3)
+        if (one := _of_channel(linear, white, left, noise.reading, channel)) is not None
+    )
 
-    `total` is their ln, over all sizes and none; `slow` is the noise of the likeliest size.
-    """
 
-    total: float
-    slow: tuple[SlowNoise, ...]
-
-
-def beside_all_sizes(
-    linear: LinearSystem, whitened: Whitened, noise: float, plausible: float
-) -> SlowNoiseOdds | None:
-    """Return the odds that anything is missing where slow noise may be there.
-
-    `noise` is that of a reading, unit of the signal, `plausible` what the odds of slow noise are beforehand, of all
-    its sizes together. None where readings are too few to tell of it.
-    """
-    own = {c: waves for c in range(3) if (waves := _waves(linear, c)) is not None}
-    if not own:
+def _of_channel(
+    linear: LinearSystem, white: Whitener, left: Floats, sigma: float, channel: int
+) -> SlowNoise | None:
+    waves = _waves(linear, channel)
+    if waves is None:
         return None
-    units = [noise * linear.by_channel[c] * waves for c, waves in own.items()]
-    whole, models = _with_courses(whitened, np.column_stack(units))
-    data = whole.reduce(linear.response[:, None])
-    scored = np.array([_scored(whole, data, known) for known in models])
-    weight = scored[:, 0] + np.log([1.0, *np.full(len(BESIDE), plausible / len(BESIDE))])
-    total = float(special.logsumexp(weight + scored[:, 1]) - special.logsumexp(weight))
-    size = BESIDE[int(np.argmax(weight[1:]))]
-    odds = float(special.logsumexp(weight[1:]) - weight[0]) / len(own)
-    slow = (
-        SlowNoise(channel, size * noise * float(linear.by_channel[channel]), odds, size * columns, sure=False)
-        for channel, columns in zip(own, units, strict=True)
-    )
-    return SlowNoiseOdds(total, tuple(slow))
-
-
-def _with_courses(whitened: Whitened, courses: Floats) -> tuple[Whitened, list[tuple[int, ...]]]:
-    """Return candidates with courses (N, k) in each size beside them; the columns of no course and of each size.
-
-    A column that a model has counts with the prior size of `KNOWN_SIZE`: as one of a course it has its own.
-    """
-    columns = whitened.candidates.columns
-    sized = [size / KNOWN_SIZE * courses for size in BESIDE]
-    grown = replace(whitened.candidates, columns=np.column_stack([columns, *sized]))
-    first, many = columns.shape[1], courses.shape[1]
-    starts = range(first, first + many * len(BESIDE), many)
-    whole = Whitened.of(whitened.grid, grown, few_known=True)
-    return whole, [(), *(tuple(range(start, start + many)) for start in starts)]
-
-
-def _scored(whole: Whitened, data: Data, known: tuple[int, ...]) -> tuple[float, float]:
-    """Return ln of the likelihood of a model with these columns, and ln odds that anything is missing beside it."""
-    search, grid = Search.beside(whole, known), whole.grid
-    square = search.left_over(data).square[:, 0]
-    likelihood = special.logsumexp(
-        grid.log_prior + grid.log_det + search.log_det + grid.log_likelihood(square)
-    )
-    return float(likelihood), float(total_evidence(search.score(data), whole)[0])
+    inside = white @ waves
+    values, vectors = np.linalg.eigh(inside.T @ inside)
+    values = np.maximum(values, 0.0)
+    square = (vectors.T @ (inside.T @ left)) ** 2
+    variances = np.array(SIZES) ** 2
+    weight = 1.0 / (1.0 + variances[:, None] * values)
+    rest = left @ left - np.sum(variances[:, None] * square * weight, axis=1)
+    freedom = len(linear) - linear.fixed.shape[1]
+    more = 0.5 * np.sum(np.log(weight), axis=1) - 0.5 * freedom * np.log(rest / (left @ left))
+    best = int(np.argmax(more))
+    # the mean over all sizes, and one of three channels
+    cost = float(special.logsumexp(more) - np.log(3 * len(SIZES)) - more[best])
+    if more[best] + cost < 0.0:
+        return None
+    # white noise beside it is smaller than what was found without it
+    size = float(SIZES[best]) * sigma * math.sqrt(float(rest[best]) / freedom)
+    return SlowNoise(channel, size, cost, size * waves)
 
 
 def _waves(linear: LinearSystem, channel: int) -> Floats | None:
@@ -328,9 +269,7 @@ def _waves(linear: LinearSystem, channel: int) -> Floats | None:
     return columns
 
 
-def with_slow_noise(linear: LinearSystem, slow: Sequence[SlowNoise]) -> LinearSystem:
-    """Return the system with slow noise as further `random` columns."""
-    return linear.with_noise(*(one.columns for one in slow))
+# --- what is said of the noise -------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -342,13 +281,12 @@ class NoiseKind:
 
 
 def noise_kinds(
-    linear: LinearSystem,
-    noise: NoiseSize,
-    weighed: WeighedDown | None,
-    digit: float,
-    slow: Sequence[SlowNoise] = (),
+    linear: LinearSystem, noise: NoiseSize, digit: float, chosen: Mapping[str, str]
 ) -> Iterator[NoiseKind]:
-    """Yield what the noise is beside normal and of one size; `digit` is the step of the signals' last digit."""
+    """Yield how the noise differs from normal noise of one size; `digit` is the step of the signals' last digit.
+
+    `chosen` are the words of the noise hypotheses that were chosen by evidence.
+    """
     unit = linear.readings.unit
     if np.any(linear.by_channel != 1.0):
         sizes = noise.reading * linear.by_channel
@@ -360,23 +298,7 @@ def noise_kinds(
             for series, size in zip(_series(linear), linear.by_run.sizes, strict=True)
         )
         yield NoiseKind("runs", f"the runs have noise of different sizes, and each weighs by its own: {own}")
-    if weighed is not None:
-        yield NoiseKind(
-            "tails",
-            f"the noise has heavier tails than a normal one: {weighed.readings} readings are weighed down, and an "
-            "outlier is named only where it is far beyond them",
-        )
-    if slow:
-        told = ", ".join(f"{quantity(one.size, unit)} in {CHANNELS[one.channel]}" for one in slow)
-        over = f"slow noise, over the run {told} (root mean square)"
-        if all(one.sure for one in slow):
-            there = f"beside the noise of a reading there is {over}"
-        else:
-            there = f"{over}, explains the readings as well as an effect does"
-        yield NoiseKind(
-            "slow",
-            f"{there}: a drift that is no larger stays hidden in it, and the u of the coefficients holds it",
-        )
+    yield from (NoiseKind(what, words) for what, words in chosen.items() if words)
     if is_coarse(digit, noise.reading):
         yield NoiseKind(
             "resolution",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -19,12 +20,14 @@ from bench.diagnosis.candidates import (
     Candidates,
     KnownBench,
     Variant,
+    is_form,
+    with_terms,
 )
 from bench.diagnosis.evidence import Data, Search, Threshold, ThresholdCache, Whitened
 from bench.diagnosis.gap import Gap, measure_gap, near_ratios
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.multi_run_system import find_mistakes_in_each, search_runs, with_blocks
-from bench.diagnosis.naming import Naming, Scored, same_signature
+from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
 from bench.diagnosis.next_measurement import Proposal, propose
 from bench.diagnosis.noise_grid import RATIOS, digit_of
 from bench.diagnosis.noise_kinds import NoiseFinding, NoiseKind, noise_findings, noise_kinds
@@ -42,7 +45,8 @@ from bench.diagnosis.posterior import (
     posterior,
     with_other_shapes,
 )
-from bench.diagnosis.residual_model import UNNAMED_FORM, FreeForm, SearchSettings, describe, unnamed_in_place
+from bench.diagnosis.residual_dictionary import WITH_CHANNELS
+from bench.diagnosis.residual_model import UNNAMED_FORM, FreeForm, describe
 from bench.diagnosis.result import (
     UNNAMED_WORDS,
     Diagnosis,
@@ -56,7 +60,7 @@ from bench.diagnosis.result import (
 from bench.diagnosis.show import ModelComparison, contradicted, show
 from bench.diagnosis.single_run_search import Prepared, search_run
 from bench.diagnosis.visibility import detectable, hidden, smallest
-from bench.diagnosis.where import find_places, looking_like, order_of
+from bench.diagnosis.where import far_readings, find_places, looking_like, order_of
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import Readings
@@ -87,14 +91,23 @@ def diagnose(
     absent = there.absent(mistakes.corrected)
     setting_rad = stand_u.get("setting_error", 0.0)
     prepared, naming = _named(mistakes.corrected, model, stand_u, cache, digit_of(readings), absent)
-    estimated = _estimated(prepared, naming)
-    gap = measure_gap(
-        prepared.linear, prepared.whitened, naming, estimated.noise, prepared.limit, setting_rad
-    )
+    estimated, gap = _held_out(prepared, naming, setting_rad)
+    weak = _unconfirmed(prepared, naming, gap)
+    if weak:
+        others = [one for one in naming.found if one not in weak]
+        naming = name(prepared.whitened, prepared.data, prepared.limit, 0, others)
+        estimated, gap = _held_out(prepared, naming, setting_rad)
     registered = register(prepared.linear, prepared.limit)
     findings, kinds = _noise(prepared, estimated.noise, readings, stand_u)
-    effects, form = _unnamed(prepared, naming, estimated, findings, gap, setting_rad)
-    verdict = _verdict(effects, findings, gap)
+    effects = estimated.effects
+    columns = prepared.candidates.columns[:, list(naming.columns)]
+    far = far_readings(prepared.linear, columns, estimated.noise)
+    if any(one.p < FAR_P for one in far) and all(e.in_catalogue for e in effects):
+        effects = (*effects, _apart(far[0].p, "; ".join(one.words for one in far[:LISTED_FAR])))
+    if gap.shrinks is False:  # what held-out readings do not confirm excuses no reading
+        far = far_readings(prepared.linear, columns[:, :0], estimated.noise)
+    form = _form(prepared, naming, estimated, gap, setting_rad)
+    verdict = verdict_of(effects, findings, gap)
     linear, whitened, repeats = prepared.linear, prepared.whitened, prepared.repeats
     ratio = RATIOS.index(near_ratios(linear, estimated.noise)[1])
     sizes = detectable(whitened, prepared.limit, ratio)
@@ -104,6 +117,7 @@ def diagnose(
         verdict="mistake" if mistakes.mistakes else verdict,
         of_copy=verdict,
         form=form,
+        far=far,
         where=find_places(linear, whitened.grid, ratio, repeats.sigma, 3 * repeats.freedom),
         mistakes=mistakes,
         effects=effects,
@@ -125,12 +139,12 @@ def diagnose(
         whitened=whitened,
         data=prepared.data,
         findings=findings,
-        weighed=prepared.weighed,
         noise_kinds=kinds,
         notes=(
             *readings.notes,
             *(finding.words for finding in findings),
             *(kind.words for kind in kinds),
+            *_left_out(weak),
             *assumed(linear),
             *at_reference(e.applied[0].effect for e in effects if e.applied),
             *common_volts(naming, estimated.sized, linear),
@@ -152,6 +166,42 @@ def _named(
     stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
     setting_rad = stand_u.get("setting_error", 0.0)
     return find(readings, model, stand, setting_rad, cache or ThresholdCache(None), digit, absent)
+
+
+def _left_out(weak: Sequence[FoundEffect]) -> Iterator[str]:
+    """Yield a sentence for each find that was left out, as held-out readings do not confirm it."""
+    for one in weak:
+        yield (
+            f"left out: {one.variant.family}, found beside the others with ln odds of {one.total:.1f}; held-out "
+            "readings do not confirm it"
+        )
+
+
+def _held_out(prepared: Prepared, naming: Naming, setting_rad: float) -> tuple[_Estimated, Gap]:
+    """Return the joint estimate with the finds, and the gap on readings held out."""
+    estimated = _estimated(prepared, naming)
+    gap = measure_gap(
+        prepared.linear, prepared.whitened, naming, estimated.noise, prepared.limit, setting_rad
+    )
+    return estimated, gap
+
+
+SURE: Final = 6.0
+"""ln odds above the threshold from which a find stays, though held-out readings do not confirm it."""
+
+
+def _unconfirmed(prepared: Prepared, naming: Naming, gap: Gap) -> list[FoundEffect]:
+    """Return weak finds beside a stronger one that held-out readings do not confirm."""
+    if gap.shrinks is not False or len(naming.found) < 2:
+        return []
+    strongest = max(naming.found, key=lambda one: one.size)
+    return [
+        one
+        for one in naming.found
+        if one is not strongest
+        and one.variant.family in gap.unconfirmed
+        and one.total < prepared.limit.value + SURE
+    ]
 
 
 @dataclass(frozen=True)
@@ -183,7 +233,7 @@ def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
     in_part = tuple(applied for of_find in others for applied in of_find)
     fitted = fit_found(with_other_shapes(linear, in_part), candidates, naming, noise)
     p_left = _p_left(whitened, data, naming)
-    effects = _effects(candidates, naming, sized, prepared.limit, linear.moved.angle_rad)
+    effects = effects_of(candidates, naming, sized, prepared.limit, linear.moved.angle_rad)
     if p_left < UNEXPLAINED and not any(not e.in_catalogue for e in effects):
         effects = (*effects, _unexplained(p_left))
     kept = left_open(linear, candidates, naming, others, fitted, noise)
@@ -195,42 +245,41 @@ def _noise(
 ) -> tuple[tuple[NoiseFinding, ...], tuple[NoiseKind, ...]]:
     """Return where the noise is larger than stated, and what kinds of noise there are."""
     linear, digit = prepared.linear, digit_of(readings)
-    kinds = tuple(noise_kinds(linear, noise, prepared.weighed, digit, prepared.slow))
+    kinds = tuple(noise_kinds(linear, noise, digit, prepared.chosen))
     return noise_findings(noise, readings, stand_u, linear.typical_slope, digit, linear.by_run), kinds
 
 
-def _unnamed(
-    prepared: Prepared,
-    naming: Naming,
-    estimated: _Estimated,
-    findings: tuple[NoiseFinding, ...],
-    gap: Gap,
-    setting_rad: float,
-) -> tuple[tuple[NamedEffect, ...], FreeForm | None]:
-    """Return the effects, tied where a form without a name is as plausible, and that form (None: not needed)."""
-    linear, effects, noise = prepared.linear, estimated.effects, estimated.noise
-    verdict = _verdict(effects, findings, gap)
-    instead: tuple[int, ...] = ()
-    # with several blocks no form competes with a name: each of the ratios would take the products of all forms
-    if verdict == "named" and linear.readings.block is None:
-        instead = unnamed_in_place(
-            linear, prepared.whitened, prepared.data, naming, estimated.in_part, setting_rad
-        )
-        effects = tuple(_tied_with_form(e) if i in instead else e for i, e in enumerate(effects))
-    if _verdict(effects, findings, gap) != "unknown" and not instead:
-        return effects, None
-    given = [
-        column
-        for i, f in enumerate(naming.found)
-        if f.variant.named and i not in instead
-        for column in f.variant.columns
-    ]
-    about = SearchSettings(prepared.repeats.sigma, setting_rad, near_ratios(linear, noise), prepared.limit)
-    form = describe(linear, prepared.candidates.columns[:, given], prepared.repeats, about)
-    return effects, replace(form, instead_of=tuple(effects[i].name for i in instead))
+def _form(
+    prepared: Prepared, naming: Naming, estimated: _Estimated, gap: Gap, setting_rad: float
+) -> FreeForm | None:
+    """Return the form of what has no name, or that stands in the place of a name; None where names suffice.
+
+    A pattern without a formula is described by the terms of the dictionary that explain it.
+    """
+    linear, whitened, data = prepared.linear, prepared.whitened, prepared.data
+    candidates = whitened.candidates
+    named = [one for one in naming.found if one.variant.named]
+    patterns = [one for one in naming.found if not one.variant.named and one.variant.term is None]
+    tied = [one for one in named if any(is_form(candidates, f) for f in one.ties)]
+    if len(named) == len(naming.found) and not tied and estimated.p_left >= UNEXPLAINED:
+        return None
+    if not patterns and not tied:
+        return describe(linear, candidates, naming, estimated.noise, gap, prepared.repeats)
+    if linear.readings.run.any() and patterns:
+        whitened = Whitened.of(whitened.grid, with_terms(candidates, linear), few_known=True)
+        data = whitened.reduce(linear.response[:, None])
+        candidates = whitened.candidates
+    among = partial(is_form, candidates)
+    begun = [one for one in named if one not in tied]
+    search = partial(name, begun=begun, among=among)
+    found = search(whitened, data, prepared.limit)
+    noise = noise_size(whitened, data, found.columns)
+    form_gap = measure_gap(linear, whitened, found, noise, prepared.limit, setting_rad, search)
+    instead = () if patterns else tuple(one.variant.family for one in tied)
+    return describe(linear, candidates, found, noise, form_gap, prepared.repeats, instead)
 
 
-def _verdict(effects: tuple[NamedEffect, ...], findings: tuple[NoiseFinding, ...], gap: Gap) -> Verdict:
+def verdict_of(effects: tuple[NamedEffect, ...], findings: tuple[NoiseFinding, ...], gap: Gap) -> Verdict:
     """Return the first that applies; what readings held out do not confirm is named no better than a tie."""
     if findings or any(not e.in_catalogue for e in effects):
         return "unknown"
@@ -273,37 +322,44 @@ def _rank(search: Search, whitened: Whitened, ratio: int, columns: tuple[int, ..
     return int(np.linalg.matrix_rank(gram * np.outer(scale, scale), tol=1e-6, hermitian=True))
 
 
-def _tied_with_form(effect: NamedEffect) -> NamedEffect:
-    return replace(effect, cannot_tell_from=(*effect.cannot_tell_from, UNNAMED_FORM))
+FAR_P: Final = 0.01
+"""Readings far off change the verdict where the fitted noise gives as much anywhere with less than this."""
+LISTED_FAR: Final = 4
+
+
+def _apart(p: float, words: str) -> NamedEffect:
+    return NamedEffect("single_reading", (), (), (), (), (), p, p, None, words)
 
 
 def _unexplained(p: float) -> NamedEffect:
     return NamedEffect("lack_of_fit", (), (), (), (), (), p, p, None, UNNAMED_WORDS["lack_of_fit"])
 
 
-def _effects(
+def effects_of(
     candidates: Candidates, naming: Naming, fitted: Posterior, limit: Threshold, angle_rad: Floats
 ) -> tuple[NamedEffect, ...]:
     """Return what was found with its values; `angle_rad` are the angles measured."""
     effects = []
     for found, mine in naming.parts():
         variant = found.variant
-        p = float(special.chdtrc(len(variant.columns), found.size**2))
+        rho, p = fitted.significance(mine)
         effect = NamedEffect(
-            name=variant.family,
+            name=name_of(candidates, variant.family),
             channels=tuple(CHANNELS[c] for c in variant.channels),
             installations=variant.mounts,
-            cannot_tell_from=found.ties,
+            cannot_tell_from=_tie_names(candidates, found),
+            odds=_odds(candidates, found),
             plainer_than=found.plainer_than,
             parameters=(),
             p=p,
-            p_all_looks=max(p, limit.p(found.total, found.of_slip)),
-            rho=found.size,
+            p_all_looks=max(p, limit.p(found.total)),
+            rho=rho,
             words=_in_words(variant),
         )
         if variant.named:
             value, covariance = fitted.amplitudes[mine], fitted.amplitude_covariance[mine, mine]
-            applied = applied_of(candidates, variant, value, np.sqrt(np.diag(covariance)))
+            either = (effect.name, *effect.cannot_tell_from) if effect.cannot_tell_from else ()
+            applied = applied_of(candidates, variant, value, np.sqrt(np.diag(covariance)), either)
             together = known_together(candidates, variant, value, covariance)
             order = order_of(applied[0])
             effect = replace(
@@ -317,9 +373,38 @@ def _effects(
     return tuple(effects)
 
 
+def name_of(candidates: Candidates, family: str) -> str:
+    """Return the name by which results call a family: that of the catalogue or pattern, else `UNNAMED_FORM`."""
+    return UNNAMED_FORM if is_form(candidates, family) else family
+
+
+def _tie_names(candidates: Candidates, found: FoundEffect) -> tuple[str, ...]:
+    names = dict.fromkeys(name_of(candidates, family) for family in found.ties)
+    names.pop(name_of(candidates, found.variant.family), None)
+    return tuple(names)
+
+
+def _odds(candidates: Candidates, found: FoundEffect) -> tuple[FamilyOdds, ...]:
+    """Return the odds in the place of a find by the names of results, all unnamed forms together."""
+    whole: dict[str, float] = {}
+    for one in found.odds:
+        called = name_of(candidates, one.name)
+        whole[called] = whole.get(called, 0.0) + one.probability
+    ranked = sorted(whole.items(), key=lambda item: -item[1])
+    return tuple(FamilyOdds(called, probability) for called, probability in ranked)
+
+
 def _in_words(variant: Variant) -> str:
     if variant.named:
         return CATALOGUE[variant.family].sentence
+    if variant.term is not None:
+        of = (
+            ""
+            if variant.term.stage not in WITH_CHANNELS
+            else f" of {', '.join(CHANNELS[c] for c in variant.channels)}"
+        )
+        at = f" ({variant.term.where})" if variant.term.where else ""
+        return f"{UNNAMED_WORDS[UNNAMED_FORM]}: {variant.family}{of}{at}"
     return UNNAMED_WORDS[variant.family] + (f" ({variant.where})" if variant.where else "")
 
 
@@ -384,6 +469,7 @@ def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
         scored = Scored.beside(diagnosis.whitened, diagnosis.data, others)
         ranked = sorted(scored.evidence, key=lambda family: -scored.evidence[family])
         alike = {one.variant.family, *one.ties, *one.plainer_than}
+        ranked = [f for f in ranked if f == one.variant.family or not is_form(candidates, f)]
         rows = []
         for family in (f for i, f in enumerate(ranked) if i < LISTED or f in alike):
             best = max(
@@ -393,7 +479,9 @@ def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
             variant = one.variant if family == one.variant.family else candidates.variants[best]
             columns = candidates.columns[:, [*others, *variant.columns]]
             shift = (posterior(linear, columns, diagnosis.noise).mean[:fixed] - coefficients) / u
-            rows.append(Rival(family, scored.evidence[family], family in one.ties, shift))
+            rows.append(
+                Rival(name_of(candidates, family), scored.evidence[family], family in one.ties, shift)
+            )
         rankings.append(tuple(rows))
     return tuple(rankings)
 

@@ -61,6 +61,16 @@ class Posterior:
         first = len(self.mean) - self.effects
         return self.covariance[first:, first:]
 
+    def significance(self, of: slice) -> tuple[float, float]:
+        """Return rho and p of some of the effects' columns: how far their amplitudes are from none.
+
+        rho^2 = b^T C^-1 b with the covariance C of the amplitudes b, so that rho of one number is its size over
+        its u; p is the probability that chi-square of as many numbers exceeds rho^2.
+        """
+        amplitudes, covariance = self.amplitudes[of], self.amplitude_covariance[of, of]
+        square = float(amplitudes @ _inverse(covariance) @ amplitudes)
+        return float(np.sqrt(max(square, 0.0))), float(special.chdtrc(len(amplitudes), square))
+
 
 def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseSize:
     """Return the noise sizes with the `known` columns in the model, averaged over the noise ratios."""
@@ -312,11 +322,11 @@ def _place(kind: Column) -> str:
 
 
 def applied_of(
-    candidates: Candidates, variant: Variant, value: Floats, u: Floats
+    candidates: Candidates, variant: Variant, value: Floats, u: Floats, either_of: tuple[str, ...] = ()
 ) -> tuple[AppliedEffect, ...]:
     """Return an effect with its estimated values in SI, one entry for each set of mountings.
 
-    `value` (m,) and `u` (m,) are in plausible sizes, as the variant's columns.
+    `value` (m,) and `u` (m,) are in plausible sizes, as the variant's columns; `either_of` are the names of a tie.
     """
     channels = tuple(CHANNELS[c] for c in variant.channels)
     kinds = [candidates.kinds[column] for column in variant.columns]
@@ -331,7 +341,8 @@ def applied_of(
             for numbers, number in ((values, value[place]), (sizes, u[place])):
                 numbers.setdefault(kind.parameter, np.zeros(() if kind.channel is None else 3))
                 numbers[kind.parameter][at] = number * candidates.scale[column]
-        applied.append(AppliedEffect(CATALOGUE[variant.family], values, channels, sizes, mounts))
+        effect = CATALOGUE[variant.family]
+        applied.append(AppliedEffect(effect, values, channels, sizes, mounts, either_of))
     return tuple(applied)
 
 

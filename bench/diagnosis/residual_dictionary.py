@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, MINUTE, Floats
-from bench.diagnosis.candidates import Candidates, Column, Variant
 from bench.diagnosis.linear import LinearSystem
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Parameter, Stage
@@ -21,6 +20,10 @@ SIZE_NAMES: Final = ("A", "B")
 ALL: Final = (0, 1, 2)
 SLOWEST, FASTEST = 1, 6
 """Range of the number of half waves over a run that describe a slow change in time."""
+MOST_WAVES: Final = 200
+"""Largest number of half waves over a run; beyond it the waves of a run of usual length are aliases."""
+MIDDLES: Final = (0.3, 0.4, 0.5, 0.6, 0.7)
+"""Parts of a run at which a parabola in time has its vertex."""
 TIME_CONSTANTS_MIN: Final = (5, 10, 20, 40, 80)
 LAGS_MIN: Final = (0, 5, 10, 20, 30)
 LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
@@ -55,7 +58,9 @@ class TimeCourse:
 
     `constants` are shapes with one value; `of_temperature` where it is in kelvin; `long` where it may be of the
     scale factor, too, `local` where it is of the bias or the head alone: of one angle, or from one reading on;
-    `once` where it happens at one time, so that no other pass tells of it.
+    `once` where it happens at one time, so that no other pass tells of it; `fast` where it is of the bias or the
+    head alone, `of_angle` where it is a function of the head's angle. `where` says at
+    which angle, time, pass or mounting it acts.
     """
 
     words: str
@@ -65,6 +70,9 @@ class TimeCourse:
     long: bool = False
     local: bool = False
     once: bool = False
+    fast: bool = False
+    of_angle: bool = False
+    where: str = ""
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,7 @@ class DictionaryTerm:
     once: bool = False
     course: tuple[str, ...] = ()
     of_force: bool = False
+    where: str = ""
 
     def effect(self, name: str, *, per_channel: bool) -> FormulaEffect:
         """Return the term as an effect of this name, with a size for each channel or one for all."""
@@ -111,38 +120,12 @@ def _factor(text: str) -> str:
     return text if plain else f"({text})"
 
 
-@dataclass(frozen=True)
-class Dictionary:
-    """All terms in all their forms; `term_of` says by its columns what a variant of `candidates` is."""
-
-    candidates: Candidates
-    term_of: dict[tuple[int, ...], DictionaryTerm]
-
-    def of(self, variant: Variant) -> DictionaryTerm:
-        """Return the term of a variant."""
-        return self.term_of[variant.columns]
+TermColumns = tuple[DictionaryTerm, tuple[int, ...], list[tuple[str, int | None, Floats]]]
+"""A term in some channels, with the name, channel and column (N,) of each of its sizes."""
 
 
-def make_dictionary(linear: LinearSystem, given: Floats) -> Dictionary:
-    """Collect the columns of all terms, after those of what has a name by now, `given` (N, m)."""
-    columns: list[Floats] = list(given.T)
-    kinds = [Column("given", None)] * len(columns)
-    scale = [1.0] * len(columns)
-    variants: list[Variant] = []
-    term_of: dict[tuple[int, ...], DictionaryTerm] = {}
-
-    def take(
-        term: DictionaryTerm, channels: tuple[int, ...], group: Sequence[tuple[str, int | None, Floats]]
-    ) -> None:
-        first = len(columns)
-        for size, channel, column in group:
-            columns.append(column)
-            kinds.append(Column(size, channel))
-            scale.append(term.unit.plausible)
-        places = tuple(range(first, len(columns)))
-        variants.append(Variant(term.family, places, channels))
-        term_of[places] = term
-
+def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
+    """Yield the terms of the dictionary, in each channel and in all, with a plausible size of each column."""
     of_courses: dict[tuple[object, ...], Floats] = {}
     for term in _terms(linear):
         sizes = SIZE_NAMES[: len(term.expressions)]
@@ -150,15 +133,12 @@ def make_dictionary(linear: LinearSystem, given: Floats) -> Dictionary:
         if not any(np.any(column) for column in each.values()):
             continue
         if term.stage not in WITH_CHANNELS:
-            take(term, ALL, [(size, None, each[size][:, 0]) for size in sizes])
+            yield term, ALL, [(size, None, each[size][:, 0]) for size in sizes]
             continue
         for channel in ALL:
             if any(np.any(each[size][:, channel]) for size in sizes):
-                take(term, (channel,), [(size, channel, each[size][:, channel]) for size in sizes])
-        take(term, ALL, [(size, None, each[size].sum(axis=1)) for size in sizes])
-    return Dictionary(
-        Candidates(np.stack(columns, axis=1), tuple(kinds), np.array(scale), tuple(variants)), term_of
-    )
+                yield term, (channel,), [(size, channel, each[size][:, channel]) for size in sizes]
+        yield term, ALL, [(size, None, each[size].sum(axis=1)) for size in sizes]
 
 
 WITH_CHANNELS: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
@@ -211,6 +191,7 @@ def _terms(linear: LinearSystem) -> Iterator[DictionaryTerm]:
             known,
             course.once,
             course.expressions,
+            where=course.where,
         )
         if course.long:
             unit = SCALE_PER_K if course.of_temperature else SCALE
@@ -226,14 +207,19 @@ def _terms(linear: LinearSystem) -> Iterator[DictionaryTerm]:
                 course.once,
                 course.expressions,
                 of_force=True,
+                where=course.where,
             )
         unit = ANGLE_PER_K if course.of_temperature else ANGLE
         words = f"{course.words}, in the head's angle"
         texts = course.expressions
-        yield DictionaryTerm(words, Stage.HEAD_ANGLE, texts, unit, "", known, course.once, texts)
-        for angle, what in () if course.local else STAND_WORDS.items():
+        yield DictionaryTerm(
+            words, Stage.HEAD_ANGLE, texts, unit, "", known, course.once, texts, where=course.where
+        )
+        for angle, what in _stand_angles(course):
             words = f"{course.words}, in {what}"
-            yield DictionaryTerm(words, Stage.STAND, texts, unit, angle, known, course.once, texts)
+            yield DictionaryTerm(
+                words, Stage.STAND, texts, unit, angle, known, course.once, texts, where=course.where
+            )
     for words, expressions in FORCES.items():
         for text in expressions:
             yield DictionaryTerm(words, Stage.BLOCK_OUTPUT, (text,), SQUARE)
@@ -241,6 +227,14 @@ def _terms(linear: LinearSystem) -> Iterator[DictionaryTerm]:
         yield from _of_voltmeters(courses)
 
 
+def _stand_angles(course: TimeCourse) -> Sequence[tuple[str, str]]:
+    """Return the stand angles that may follow a course; a platform does not turn or roll with the head's angle."""
+    if course.local or course.fast:
+        return ()
+    return [(angle, what) for angle, what in STAND_WORDS.items() if angle == AXIS_TILT or not course.of_angle]
+
+
+AXIS_TILT: Final = "axis_tilt"
 STAND_WORDS: Final = {
     "axis_tilt": "a tilt of the axis",
     "mounting_error": "a turn of the block on the platform",
@@ -263,7 +257,9 @@ def _of_voltmeters(courses: Sequence[TimeCourse]) -> Iterator[DictionaryTerm]:
             unit = VOLTS_PER_K if course.of_temperature else VOLTS
             words = f"{course.words}, in the voltage"
             texts = course.expressions
-            yield DictionaryTerm(words, stage, texts, unit, "", course.constants, course.once, texts)
+            yield DictionaryTerm(
+                words, stage, texts, unit, "", course.constants, course.once, texts, where=course.where
+            )
     for text in ("abs(U)", "abs(Ux)", "abs(Uy)", "abs(Uz)"):
         yield DictionaryTerm("the size of a voltage", stage, (text,), GAIN)
     yield DictionaryTerm("a power of the voltage", stage, ("U**2",), VOLTS_PER_V2)
@@ -313,20 +309,24 @@ def _of_angle(conditions: Conditions) -> Iterator[TimeCourse]:
     for k in (0.5, *range(1, min(distinct // 2, 6) + 1)):
         inside = "angle" if k == 1 else f"{k:g} * angle"
         wave = (f"cos({inside})", f"sin({inside})")
-        yield TimeCourse(f"a wave, {k:g} per turn", wave)
+        yield TimeCourse(f"a wave, {k:g} per turn", wave, of_angle=True)
         for visit in visits:
             yield TimeCourse(
                 f"a wave, {k:g} per turn, of one mounting",
                 tuple(f"{w} * {_in_visit(visit)}" for w in wave),
                 local=True,
+                where=f"mounting {visit}",
             )
     yield TimeCourse("the angle of the head, unwound between passes", ("angle / (2 * pi)",))
     for degrees in sorted(set(np.round(np.degrees(angle), 1).tolist())):
         at = f"(abs(angle - {np.radians(degrees):.6g}) < 0.004)"
-        yield TimeCourse("one angle of the head", (at,), local=True)
+        yield TimeCourse("one angle of the head", (at,), local=True, where=f"{degrees:g}°")
         for visit in visits:
             yield TimeCourse(
-                "one angle of the head, of one mounting", (f"{at} * {_in_visit(visit)}",), local=True
+                "one angle of the head, of one mounting",
+                (f"{at} * {_in_visit(visit)}",),
+                local=True,
+                where=f"{degrees:g}°, mounting {visit}",
             )
 
 
@@ -351,15 +351,35 @@ def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
         return
     span = (_constant("T", "s", 1.0, float(f"{np.ptp(time):.4g}")),)
     yield TimeCourse("the time", ("time / T",), span, long=True)
-    yield TimeCourse("the time and its square", ("time / T", "(time / T)**2"), span, long=True)
+    for middle in MIDDLES:
+        yield TimeCourse("a parabola in time", (f"(time / T - {middle:g})**2",), span, long=True)
     for minutes in TIME_CONSTANTS_MIN:
         tau = (_constant("tau", "min", MINUTE, minutes * MINUTE),)
         yield TimeCourse("what fades with time", ("exp(-time / tau)",), tau, long=True)
     for k in range(SLOWEST, FASTEST + 1):
         yield TimeCourse("a slow wave in time", (f"cos({k:g} * pi * time / T)",), span)
+    for k in _frequencies(time[np.isfinite(conditions.angle_rad)]):
+        wave = (f"cos({k:g} * pi * time / T)", f"sin({k:g} * pi * time / T)")
+        yield TimeCourse("a wave in time", wave, span, fast=True)
     for at in _between(time[np.isfinite(conditions.angle_rad)]):
         when = (_constant("t", "s", 1.0, float(f"{at:.7g}")),)
-        yield TimeCourse("a step in time", ("(time > t)",), when, local=True, once=True)
+        yield TimeCourse(
+            "a step in time",
+            ("(time > t)",),
+            when,
+            local=True,
+            once=True,
+            where=f"from {at / MINUTE:.0f} min on",
+        )
+
+
+def _frequencies(time_s: Floats) -> range:
+    """Return the numbers of half waves over a run of waves that these readings sample at least twice a period."""
+    steps = np.diff(np.unique(time_s))
+    if not len(steps):
+        return range(0)
+    fastest = int(np.ptp(time_s) / float(np.median(steps)))
+    return range(FASTEST + 1, min(fastest, MOST_WAVES) + 1)
 
 
 def _between(time_s: Floats) -> Floats:
@@ -373,11 +393,15 @@ def _of_passes(conditions: Conditions) -> Iterator[TimeCourse]:
     passes = sorted(set(conditions.pass_number[angled].tolist()))
     count = _visits(conditions)
     for visit in range(1, count + 1) if count > 1 else range(0):
-        yield TimeCourse("one mounting", (_in_visit(visit),), long=True)
+        yield TimeCourse("one mounting", (_in_visit(visit),), long=True, where=f"mounting {visit}")
     for number in passes if len(passes) > 1 else ():
         alone = f"(pass_number > {number - 0.5:g}) * (pass_number < {number + 0.5:g})"
-        yield TimeCourse("one pass", (alone,), long=True, once=True)
+        yield TimeCourse("one pass", (alone,), long=True, once=True, where=f"pass {number}")
         for visit in range(1, count + 1) if count > 1 else range(0):
             yield TimeCourse(
-                "one pass of one mounting", (f"{alone} * {_in_visit(visit)}",), long=True, once=True
+                "one pass of one mounting",
+                (f"{alone} * {_in_visit(visit)}",),
+                long=True,
+                once=True,
+                where=f"pass {number} of mounting {visit}",
             )

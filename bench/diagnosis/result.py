@@ -26,12 +26,12 @@ from bench.diagnosis.evidence import Data, Whitened
 from bench.diagnosis.gap import Gap, folds_of, thirds_of
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import MistakeSearch
-from bench.diagnosis.naming import Naming
-from bench.diagnosis.noise_kinds import NoiseFinding, NoiseKind, WeighedDown
+from bench.diagnosis.naming import FamilyOdds, Naming
+from bench.diagnosis.noise_kinds import NoiseFinding, NoiseKind
 from bench.diagnosis.posterior import KnownTogether, NoiseSize, Posterior
 from bench.diagnosis.residual_model import FreeForm
 from bench.diagnosis.visibility import Smallest
-from bench.diagnosis.where import ResidualPattern
+from bench.diagnosis.where import FarReading, ResidualPattern
 from bench.model.conditions import REFERENCE_C, REMOUNT_S, SETTING_S
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect
 from bench.model.effects.formula import FormulaEffect, names_in
@@ -53,9 +53,10 @@ class Registration:
     threshold: float
     false_alarms: float
     tie_leak: float
-    tie_evidence: float
+    alone_from: float
+    tie_holds: float
     tie_absurd: float
-    tie_least_explained: float
+    prior_of_kinds: tuple[float, ...]
     pair_margin: float
     most_effects: int
     hidden_beyond: float
@@ -77,10 +78,11 @@ def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
         noise_ratio_spread=noise_grid.RATIO_SPREAD,
         threshold=round(limit.value, 9),
         false_alarms=limit.probability,
-        tie_leak=naming.LEAK,
-        tie_evidence=naming.LESS_PLAUSIBLE,
+        tie_leak=naming.ALIAS,
+        alone_from=naming.ALONE,
+        tie_holds=naming.SET,
         tie_absurd=naming.ABSURD,
-        tie_least_explained=naming.LEAST_EXPLAINED,
+        prior_of_kinds=candidates.KIND_PRIOR,
         pair_margin=naming.PAIR_MARGIN,
         most_effects=naming.MOST_EFFECTS,
         hidden_beyond=visibility.BEYOND_BELIEF,
@@ -95,16 +97,9 @@ def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
         "catalogue": {name: [asdict(p) for p in effect.parameters] for name, effect in CATALOGUE.items()},
         "size_weights": [round(w, 12) for w in evidence.LOG_SIZE_WEIGHTS],
     }
-    if limit.slip is not None:
-        hashed["slip"] = [evidence.OF_SLIPS, round(limit.slip.value, 9)]
     if evidence.formulas():
         hashed["formulas"] = evidence.formulas()
-    hashed["form"] = [
-        residual_model.MOST_TERMS,
-        residual_model.LEAST_CLOSED,
-        residual_model.SIGNIFICANT,
-        residual_model.LARGER,
-    ]
+    hashed["form"] = [residual_model.LEAST_CLOSED, residual_model.SIGNIFICANT, residual_model.LARGER]
     del hashed["sha256"]
     text = json.dumps(hashed, sort_keys=True)
     return replace(settled, sha256=hashlib.sha256(text.encode()).hexdigest())
@@ -122,7 +117,7 @@ UNNAMED_WORDS: Mapping[str, str] = {
     "single_setting": "the angle of a single setting",
     "zeros_by_run": "the zeros change from run to run; the readings do not say why",
     "scale_by_run": "the scale factors change from run to run; the readings do not say why",
-    "unnamed_form": "something without a name, of another form",
+    "unnamed_form": "something without a name",
     "lack_of_fit": (
         "the readings differ from the model by more than their repeats, in no pattern that was looked for"
     ),
@@ -151,8 +146,9 @@ class NamedEffect:
     `aliases` are the other periods a turn of the head that would look the same at the angles measured.
     `applied` is empty for what has no name, else one entry for each set of mountings with values of its own.
     `together` are sums or differences of values that the readings tell where they hardly tell the values.
-    `p` is for this effect alone, `p_all_looks` counts everything that was looked at; `rho` is its size in
-    units of noise, None for a lack of fit, which was not looked for.
+    `p` is for this effect alone, `p_all_looks` counts everything that was looked at; `rho` is its size over
+    its u (the root of b^T C^-1 b of all its values b), None for a lack of fit, which was not looked for. `odds`
+    are the names that may stand in its place with their posterior probabilities.
     """
 
     name: str
@@ -168,6 +164,7 @@ class NamedEffect:
     applied: tuple[AppliedEffect, ...] = ()
     together: tuple[KnownTogether, ...] = ()
     aliases: tuple[int, ...] = ()
+    odds: tuple[FamilyOdds, ...] = ()
 
     @property
     def in_catalogue(self) -> bool:
@@ -193,12 +190,12 @@ class Diagnosis:
     `whitened` and `data` are the products in which the effects were found.
     `in_part` are the possible parts of the effects with other shapes, included in the coefficients' u.
     `left_open` are the parts that the readings leave open, for a model file. `findings` are noise larger than
-    stated, `noise_kinds` deviations from normal noise of one size. `weighed` is the correction for heavy
-    tails.
+    stated, `noise_kinds` deviations from normal noise of one size.
     """
 
     verdict: Verdict
     of_copy: Verdict
+    far: tuple[FarReading, ...]
     where: tuple[ResidualPattern, ...]
     mistakes: MistakeSearch
     effects: tuple[NamedEffect, ...]
@@ -223,7 +220,6 @@ class Diagnosis:
     findings: tuple[NoiseFinding, ...] = ()
     noise_kinds: tuple[NoiseKind, ...] = ()
     notes: tuple[str, ...] = ()
-    weighed: WeighedDown | None = None
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -12,8 +11,15 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.calibration.design import FIXED
 from bench.calibration.result import CalibrationError
-from bench.diagnosis.candidates import SLIP, Candidates, make_candidates
-from bench.diagnosis.evidence import Data, Threshold, ThresholdCache, Whitened
+from bench.diagnosis.candidates import (
+    SINGLE,
+    Candidates,
+    make_candidates,
+    replace_columns,
+    with_terms,
+    without_copies,
+)
+from bench.diagnosis.evidence import KNOWN_SIZE, Data, Search, Threshold, ThresholdCache, Whitened
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.naming import MOST_EFFECTS, Naming, Scored, name
 from bench.diagnosis.noise_grid import (
@@ -24,38 +30,26 @@ from bench.diagnosis.noise_grid import (
     noise_of_repeats,
     with_rounding,
 )
-from bench.diagnosis.noise_kinds import (
-    SlowNoise,
-    WeighedDown,
-    beside_all_sizes,
-    sizes_left,
-    slow_noise,
-    weigh_down,
-    with_slow_noise,
+from bench.diagnosis.noise_kinds import log_density, log_null, noise_hypotheses
+from bench.diagnosis.posterior import (
+    NoiseSize,
+    applied_of,
+    beside,
+    fit_found,
+    noise_size,
+    with_other_shapes,
 )
-from bench.diagnosis.posterior import applied_of, fit_found, noise_size
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
 from bench.readings.table import Readings
-
-CLEAR: Final = 6.0
-"""What is so far above the threshold is there whatever the ratio of the noises."""
-HARDLY: Final = 2.0
-"""A name that is no further above the threshold must reach it beside slow noise, too."""
-PLAUSIBLE: Final = 1.0
-"""Prior odds of slow noise where something seems to be missing."""
-TOO_LARGE: Final = 0.7
-"""Repeats that say more than the noise over this have what was found in them, as a reading that stands apart is."""
-SAME_SIZE: Final = 0.1
-"""Relative difference within which the channels' noise sizes count as the same."""
 
 
 @dataclass(frozen=True)
 class Prepared:
     """Readings prepared for the search: linear system, whitened candidates, data products and threshold.
 
-    `bend` (N,) is the nonlinear part of the finds, subtracted from the response. `weighed` is the correction
-    for heavy tails of the noise. `slow` is the slow noise among the random columns.
+    `bend` (N,) is the nonlinear part of the finds, subtracted from the response. `log_odds` is ln of the prior
+    odds of the noise hypotheses that were chosen, with what their sizes cost; `chosen` are these with their words.
     """
 
     linear: LinearSystem
@@ -65,125 +59,98 @@ class Prepared:
     data: Data
     limit: Threshold
     bend: Floats
-    weighed: WeighedDown | None = None
-    slow: tuple[SlowNoise, ...] = ()
+    log_odds: float = 0.0
+    chosen: Mapping[str, str] = field(default_factory=dict)
+
+    def log_evidence(self, naming: Naming) -> float:
+        """Return ln of the evidence that so many things are missing in this noise, up to a constant.
+
+        In the place of each find all families count, by their priors.
+        """
+        total = Search.beside(self.whitened, ()).log_evidence(self.data) + log_null(self.whitened.grid)
+        known: list[int] = []
+        for found in naming.found:
+            total += Scored.beside(self.whitened, self.data, known).total
+            known += found.variant.columns
+        return self.log_odds + total
 
 
-Prepare = Callable[[LinearSystem, Threshold, float], Prepared]
-"""Prepares readings for a search, with the limit of such readings and the most that their noise is."""
+class Reconsider(Protocol):
+    """Prepares and searches readings in another noise."""
+
+    def __call__(self, prepared: Prepared, linear: LinearSystem, most: float) -> tuple[Prepared, Naming]:
+        """Search `linear`, whose noise is at `most` this, about the finds of `prepared`."""
 
 
-class ReweightedSearch(Protocol):
-    """Looks for all again in readings that are weighed otherwise: about what `prepared` is about."""
-
-    def __call__(
-        self, prepared: Prepared, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
-    ) -> tuple[Prepared, Naming]:
-        """Prepare and search `linear`, with the `limit` of such readings and the `most` noise where known."""
+SURELY_LESS: Final = 6.0
+"""A noise hypothesis is searched in full unless its evidence with the same finds is lower by more than this."""
+MOST_KINDS: Final = 4
+"""Noise hypotheses that are chosen one after another."""
 
 
-def noise_as_it_is(prepared: Prepared, naming: Naming, again: ReweightedSearch) -> tuple[Prepared, Naming]:
-    """Look for all again where what is left has heavy tails, and where its channels differ.
+def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple[Prepared, Naming]:
+    """Return the finds in the noise with which they have the largest evidence together.
 
-    What explains more of the readings than all that was found, as channels with noise of their own may, stands in
-    its place. Readings that are rounded alike tell nothing of their noise: that of rounding is believed.
+    Rounded readings that repeat themselves tell nothing of their noise; it is that of the rounding.
     """
     if prepared.whitened.grid.known:
         return prepared, naming
-    prepared, naming = _own_sizes_instead(prepared, naming, again)
-    noise = noise_size(prepared.whitened, prepared.data, naming.columns)
-    if noise.reading < TOO_LARGE * prepared.repeats.sigma:
-        prepared, naming = again(prepared, prepared.linear, prepared.limit, noise.reading)
-        noise = noise_size(prepared.whitened, prepared.data, naming.columns)
-    weighed = weigh_down(prepared.linear, prepared.candidates, naming, noise)
-    if weighed is not None:
-        # the noise is smaller for it, and the limits of the stand are larger beside it
-        less = replace(prepared.linear, response=prepared.linear.response + weighed.pull)
-        prepared, naming = again(replace(prepared, weighed=weighed), less, prepared.limit, noise.reading)
-    sizes = sizes_left(
-        prepared.linear, prepared.candidates, prepared.whitened, prepared.data, naming.columns
-    ).sizes
-    if np.max(np.abs(np.log(sizes / prepared.linear.by_channel))) < SAME_SIZE:
-        return prepared, naming
-    noise = noise_size(prepared.whitened, prepared.data, naming.columns)
-    return again(prepared, replace(prepared.linear, by_channel=sizes), most=noise.reading)
+    score = prepared.log_evidence(naming)
+    for _ in range(MOST_KINDS):
+        rivals = []
+        for found in ((), naming.found) if naming.found else ((),):
+            effects = replace(naming, found=found).columns
+            columns = prepared.candidates.columns[:, list(effects)]
+            noise = noise_size(prepared.whitened, prepared.data, effects)
+            for one in noise_hypotheses(prepared.linear, columns, noise):
+                if one.what == "tails" and any(of.variant.family in SINGLE for of in found):
+                    continue  # tails explain single readings, too
+                gain = (
+                    one.log_odds
+                    + _of_noise(one.linear, columns, noise)
+                    - _of_noise(prepared.linear, columns, noise)
+                )
+                own = prepared.log_evidence(replace(naming, found=found))
+                if own + gain > score - SURELY_LESS:
+                    rivals.append((own + gain, one, noise.reading))
+        tried = []
+        for _, one, most in sorted(rivals, key=lambda rival: -rival[0])[:2]:
+            searched, named = again(prepared, one.linear, most)
+            searched = replace(
+                searched,
+                log_odds=prepared.log_odds + one.log_odds,
+                chosen={**prepared.chosen, one.what: one.words},
+            )
+            tried.append((searched.log_evidence(named), searched, named))
+        better = max(tried, key=lambda state: state[0], default=None)
+        if better is None or better[0] <= score + LEAST_GAIN:
+            return prepared, naming
+        score, prepared, naming = better
+    return prepared, naming
 
 
-def _own_sizes_instead(
-    prepared: Prepared, naming: Naming, again: ReweightedSearch
-) -> tuple[Prepared, Naming]:
-    """Look for all again where channels with noise of their own sizes explain more than all that was found.
-
-    A channel with more noise than the others looks as if something were missing in it alone, and what takes that up
-    leaves the channels alike. What is really missing is the better explanation by far: it knows where and when.
-    """
-    if not naming.found or np.any(prepared.linear.by_channel != 1.0):
-        return prepared, naming
-    told = sizes_left(prepared.linear, prepared.candidates, prepared.whitened, prepared.data, ())
-    if told.evidence < sum(found.total for found in naming.found):
-        return prepared, naming
-    return again(prepared, replace(prepared.linear, by_channel=told.sizes))
+LEAST_GAIN: Final = 0.5
+"""The noise hypothesis changes where ln of the evidence gains this; less is a change of its sizes."""
 
 
-def beside_slow_noise(prepared: Prepared, naming: Naming, prepare: Prepare) -> tuple[Prepared, Naming]:
-    """Look for all again beside slow noise, where that stands in the place of all that was found (`_instead`).
-
-    What is found clearly is there: never does it, or what was found beside it, pass for slow noise.
-    """
-    strongest = max((found.total for found in naming.found), default=-np.inf)
-    if prepared.whitened.grid.known or strongest > prepared.limit.value + CLEAR:
-        return prepared, naming
-    noise = noise_size(prepared.whitened, prepared.data, naming.columns)
-    slow = _instead(prepared, naming, noise.reading)
-    if not slow:
-        return prepared, naming
-    again = prepare(with_slow_noise(prepared.linear, slow), prepared.limit, noise.reading)
-    again = replace(again, bend=prepared.bend, weighed=prepared.weighed, slow=slow)
-    return again, name(again.whitened, again.data, again.limit)
+def _of_noise(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> float:
+    """Return ln of the evidence of a noise beside effects' columns (N, m), at the ratio of noise sizes found."""
+    random = np.column_stack([linear.random, KNOWN_SIZE * effects])
+    return log_density(linear, random, noise.reading, noise.setting_rad / noise.reading)
 
 
-def _instead(prepared: Prepared, naming: Naming, noise: float) -> tuple[SlowNoise, ...]:
-    """Return the slow noise that stands in the place of what was found, nothing where that holds.
-
-    It is that of the channels in which it shows by itself. Where that explains less, what was found must reach the
-    threshold beside slow noise of all channels, too, whatever its size: a name that hardly does without, and what
-    has none. A slip that reaches the threshold of slips is there by that.
-    """
-    sure = slow_noise(
-        prepared.linear, prepared.whitened, Scored.beside(prepared.whitened, prepared.data, ()).ratio
-    )
-    if sure and sum(one.odds for one in sure) >= sum(found.evidence for found in naming.found):
-        return sure
-    limit, strongest = prepared.limit.value, max((found.total for found in naming.found), default=-np.inf)
-    named = all(found.variant.named for found in naming.found)
-    if strongest < limit or (named and strongest > limit + HARDLY) or _slipped(prepared.limit, naming):
-        return ()
-    beside = beside_all_sizes(prepared.linear, prepared.whitened, noise, PLAUSIBLE)
-    if beside is None or beside.total >= limit:
-        return ()
-    return sure or beside.slow
-
-
-def _slipped(limit: Threshold, naming: Naming) -> bool:
-    """Whether a slip was found that reaches the threshold of slips."""
-    return any(found.variant.family == SLIP and limit.by_slip(found.of_slip) for found in naming.found)
-
-
-def in_the_noise_of(
-    prepared: LinearSystem, weighed: WeighedDown | None, linear: LinearSystem
-) -> LinearSystem:
-    """Return a system of the same readings and another model, its noise as it was found: `prepared`, `weighed`.
+def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSystem:
+    """Return a system of the same readings and another model, with the noise of `prepared`.
 
     Of several blocks the sizes alone: their rows stand in another order.
     """
     linear = replace(linear, by_channel=prepared.by_channel, by_run=prepared.by_run)
     if prepared.readings.block is not None:
         return linear
-    pull = 0.0 if weighed is None else weighed.pull
     of_noise = prepared.random[:, prepared.random.shape[1] - prepared.of_noise :]
     return replace(
         linear,
-        response=linear.response + pull,
+        by_row=prepared.by_row,
         random=np.column_stack([linear.random, of_noise]),
         of_noise=prepared.of_noise,
     )
@@ -225,7 +192,7 @@ def search_run(
 ) -> tuple[Prepared, Naming]:
     """Prepare readings and find what is missing: the first find is made linear before the others are looked for.
 
-    The noise is taken as it is (`noise_as_it_is`), and beside slow noise all is looked for again.
+    The noise is chosen by evidence (`choose_noise`).
 
     `stand` holds standard uncertainties by the names in `STAND_ANGLES`, rad, `setting_rad` that of a setting,
     `resolution` the last digit of the signals. Effects that are `absent` from the bench are not looked for.
@@ -233,16 +200,35 @@ def search_run(
     """
     task = _Task(readings, model, stand, setting_rad, resolution, cache, absent)
 
-    def again(
-        prepared: Prepared, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
-    ) -> tuple[Prepared, Naming]:
-        fresh = _prepared(task, linear, limit, most)
-        return _searched_again(task, replace(fresh, bend=prepared.bend, weighed=prepared.weighed))
+    def again(prepared: Prepared, linear: LinearSystem, most: float) -> tuple[Prepared, Naming]:
+        fresh = _prepared(task, linear, prepared.limit, most)
+        return _searched_again(task, replace(fresh, bend=prepared.bend))
 
     first = _searched_again(task, _prepared(task, task.linear(readings)))
-    prepared, naming = noise_as_it_is(*first, again)
-    prepared, naming = beside_slow_noise(prepared, naming, partial(_prepared, task))
-    return prepared, _closer(task, prepared, naming)
+    prepared, naming = choose_noise(*first, again)
+    return prepared, _beside_shapes(task, prepared, _closer(task, prepared, naming))
+
+
+def _beside_shapes(task: _Task, prepared: Prepared, naming: Naming) -> Naming:
+    """Drop what is found no more where the largest effect may have parts with other shapes.
+
+    Between two shapes of the catalogue's grid a large effect leaves a remainder that others would explain.
+    """
+    largest = max(naming.found, key=lambda found: found.size, default=None)
+    if largest is None or len(naming.found) < 2 or not largest.variant.named:
+        return naming
+    alone = Naming((largest,), naming.left)
+    noise = noise_size(prepared.whitened, prepared.data, naming.columns)
+    sized = fit_found(prepared.linear, prepared.candidates, alone, noise)
+    (shapes,) = beside(prepared.candidates, alone, sized)
+    wide = with_other_shapes(prepared.linear, shapes)
+    if wide is prepared.linear:
+        return naming
+    grid = grid_with_rounding(wide, prepared.whitened.grid.sigma, task.setting_rad, task.resolution)
+    whitened = Whitened.of(grid, prepared.candidates)
+    data = whitened.reduce(wide.response[:, None])
+    kept = name(whitened, data, prepared.limit, begun=[largest], among=lambda _: True).found
+    return name(prepared.whitened, prepared.data, prepared.limit, 0, begun=kept)
 
 
 def _closer(task: _Task, prepared: Prepared, naming: Naming) -> Naming:
@@ -251,7 +237,7 @@ def _closer(task: _Task, prepared: Prepared, naming: Naming) -> Naming:
     Between two ratios of the grid of the search a setting error is up to 1.4 times as large as it is taken for, and
     effects that act as it does look as much more than they are.
     """
-    if not naming.found or min(found.total for found in naming.found) > prepared.limit.value + CLEAR:
+    if not naming.found or min(found.total for found in naming.found) > prepared.limit.value + SURELY_LESS:
         return naming
     linear, coarse = prepared.linear, prepared.whitened.grid
     noise = noise_size(prepared.whitened, prepared.data, naming.columns)
@@ -286,6 +272,7 @@ def _prepared(
     repeats = replace(repeats, sigma=min(repeats.sigma, most))
     grid = grid_with_rounding(linear, repeats.sigma, task.setting_rad, task.resolution)
     candidates = make_candidates(linear, repeats.sigma, absent=task.absent)
+    candidates = without_copies(with_terms(candidates, linear), grid.white[len(grid.white) // 2])
     whitened = Whitened.of(grid, candidates)
     limit = limit or task.cache.threshold(linear, whitened, task.setting_rad)
     data = whitened.reduce(linear.response[:, None])
@@ -314,16 +301,13 @@ def _relinearised(task: _Task, prepared: Prepared, naming: Naming) -> Prepared |
         again = task.linear(replace(readings, signal=readings.signal - change))
     except CalibrationError:  # what was found is too large to be true
         return None
-    told = make_candidates(again, prepared.repeats.sigma, absent=task.absent)
+    told = with_terms(make_candidates(again, prepared.repeats.sigma, absent=task.absent), again)
     if told.kinds != candidates.kinds:
         return None
+    told = replace_columns(candidates, told.columns)
     back = told.columns[:, columns] @ sizes
-    pull = 0.0 if prepared.weighed is None else prepared.weighed.pull
-    response = again.response + back + pull
-    about = replace(again, readings=readings, response=response, by_channel=linear.by_channel)
+    about = in_the_noise_of(linear, replace(again, readings=readings, response=again.response + back))
     grid = grid_with_rounding(about, prepared.repeats.sigma, task.setting_rad, task.resolution)
     whitened = Whitened.of(grid, told)
     data = whitened.reduce(about.response[:, None])
-    return Prepared(
-        about, prepared.repeats, told, whitened, data, prepared.limit, moved - back, prepared.weighed
-    )
+    return replace(prepared, linear=about, candidates=told, whitened=whitened, data=data, bend=moved - back)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
@@ -11,8 +11,10 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
+from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.linear import MODULUS, LinearSystem
-from bench.diagnosis.noise_grid import NoiseGrid
+from bench.diagnosis.noise_grid import NoiseGrid, make_whitener
+from bench.diagnosis.posterior import NoiseSize
 from bench.model.effects import AppliedEffect
 from bench.model.effects.voltmeter import LOW_RANGE_V
 
@@ -188,6 +190,73 @@ def _over_run(linear: LinearSystem, own: Mask, channel: str) -> Iterator[_Look]:
         if low.any() and (own & ~low).any():
             yield look("signals below 1.2 V", _rows(low))
 
+
+FAR: Final = 6.0
+"""A reading so many u from what the final model says is in the headline."""
+TAIL_DOF: Final = 4.0
+"""Degrees of freedom of heavy-tailed noise, as the search has them."""
+
+
+@dataclass(frozen=True)
+class FarReading:
+    """A reading that lies `size_u` standard uncertainties from what the model says without it.
+
+    `channel` is x, y, z, "modulus" or "setting" (along the turn of the head). `p` is the probability that the noise
+    as fitted gives as much anywhere.
+    """
+
+    installation: str
+    pass_number: int
+    point: int
+    channel: str
+    size_u: float
+    p: float
+
+    @property
+    def words(self) -> str:
+        """The place and the size in words."""
+        of = {"modulus": "|a|", "setting": "the angle"}.get(self.channel, f"channel {self.channel}")
+        return (
+            f"{of} in installation {self.installation}, pass {self.pass_number}, point {self.point} is "
+            f"{self.size_u:.0f} u off"
+        )
+
+
+def far_readings(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[FarReading, ...]:
+    """Return the readings far from the final model with the effects' columns (N, m), the farthest first.
+
+    The sizes are deletion residuals: each is compared with the model fitted without it (Cook and Weisberg,
+    Residuals and Influence in Regression, 1982, section 2.2), with the noise of its channel.
+    """
+    heavy = linear.by_row is not None
+    random = np.column_stack([linear.random, KNOWN_SIZE * effects])
+    rows = replace(linear, random=random, by_row=None)
+    white = make_whitener(rows, noise.reading, noise.setting_rad)
+    pull = white.weigh(linear.response) / noise.reading
+    size = np.abs(pull) / np.sqrt(np.maximum(white.diagonal, 1e-12))
+    looks = len(size) + linear.settings
+    found = [
+        (float(size[i]), int(linear.rows.reading[i]), _CHANNEL[linear.rows.channel[i]])
+        for i in range(len(size))
+    ]
+    for number in range(linear.settings):
+        own = np.where(linear.setting == number, linear.slope, 0.0)[:, None]
+        seen = float((own.T @ white.weigh(own))[0, 0])
+        if seen > 0.0:
+            along = abs(float(own[:, 0] @ pull)) / np.sqrt(seen)
+            found.append((along, int(linear.rows.reading[np.argmax(linear.setting == number)]), "setting"))
+    far = sorted((one for one in found if one[0] >= FAR), key=lambda one: -one[0])
+    told: dict[int, FarReading] = {}
+    readings = linear.readings
+    for off, i, channel in far:
+        scaled = off * np.sqrt(TAIL_DOF / (TAIL_DOF - 2.0))
+        p = 2.0 * float(special.stdtr(TAIL_DOF, -scaled) if heavy else special.ndtr(-off))
+        place = (str(readings.installation[i]), int(readings.pass_number[i]), int(readings.point[i]))
+        told.setdefault(i, FarReading(*place, channel, off, float(-np.expm1(looks * np.log1p(-min(p, 0.5))))))
+    return tuple(told.values())
+
+
+_CHANNEL: Final = (*CHANNELS, "modulus")
 
 MOST_PER_TURN: Final = 72
 """Orders looked at: 72 a turn is a mark every 5 degrees."""

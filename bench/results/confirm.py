@@ -35,6 +35,9 @@ class EffectPart(ResultModel):
     """An effect of the model in the new readings."""
 
     name: str
+    either_of: list[str] = Field(
+        description="names of which nobody could say which it is, where the model has the first of a tie"
+    )
     channels: list[str]
     installations: list[str]
     verdict: Became | None = Field(description="null where these readings do not show it")
@@ -77,6 +80,7 @@ def effect_part(now: EffectNow) -> EffectPart:
     """Return the part of the result on an effect: its verdict, and its values then and now."""
     return EffectPart(
         name=now.applied.effect.name,
+        either_of=list(now.applied.either_of),
         channels=list(now.applied.channels),
         installations=list(now.applied.installations),
         verdict=now.verdict,
@@ -146,4 +150,6 @@ def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], o
     closed = words.closed_in_words(
         found.closed, found.before.rms_g, found.after.rms_g, found.after.expected_rms_g
     )
-    out.print(f"{source}: {found.verdict.upper()}: {closed}", style="bold")
+    ties = dict.fromkeys(map(words.either_in_words, found.effects))
+    told = "; ".join([*filter(None, ties), closed])
+    out.print(f"{source}: {found.verdict.upper()}: {told}", style="bold")

@@ -17,12 +17,12 @@ from bench.base.result_model import Real, ResultModel, Vector
 from bench.base.tables import table
 from bench.diagnosis import Diagnosis, NamedEffect
 from bench.diagnosis.mistakes.search import Mistake
-from bench.diagnosis.next_measurement import Separation
+from bench.diagnosis.next_measurement import Chance, Separation
 from bench.diagnosis.pipeline import FullDiagnosis, MistakesAlone, Rival
 from bench.diagnosis.residual_model import UNNAMED_FORM
 from bench.diagnosis.result import Registration, Verdict
 from bench.diagnosis.show import SEED, CoefficientChange, ModelComparison, Simulation
-from bench.diagnosis.where import ResidualPattern
+from bench.diagnosis.where import FarReading, ResidualPattern
 from bench.model import CATALOGUE
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis_parts import (
@@ -58,6 +58,11 @@ class ProposalPart(ResultModel):
     settles: list[Separation] = Field(description="ties that it would settle")
     shows: list[str] = Field(description="hidden effects that it would show")
     left_out: dict[str, str] = Field(description="procedures that this bench cannot carry out, and why")
+    chances: list[Chance] = Field(
+        default=[],
+        description="for each procedure thought of its hours, and the probability that one name of each tie then "
+        "has a posterior of 0.95",
+    )
 
 
 class ModulusPart(ResultModel):
@@ -149,6 +154,10 @@ class FoundResult(ResultModel):
     hidden_parts: dict[str, list[str]] = Field(description="of some effects, the parts of which that is true")
     absent: dict[str, str] = Field(
         description="effects that are no candidates, as the bench has nothing that could make them, and why"
+    )
+    far: list[FarReading] = Field(
+        description="readings 6 u or more from what the final model says without them, the farthest first; `p` is "
+        "the probability that the noise as fitted gives as much anywhere"
     )
     unseen_per_turn: list[int] = Field(
         description="how often a turn an error of the head's angle would have to repeat to be the same at all "
@@ -286,7 +295,7 @@ def mistakes_result(
     nothing: dict[str, Any] = {
         **dict.fromkeys(("next_measurement", "verification_orientation", "gap", "model", "noise", "p_left")),
         **dict.fromkeys(("form", "registered", "simulation", "report")),
-        **dict.fromkeys(("where", "hidden", "unseen_per_turn", "ranking", "skipped_rows"), ()),
+        **dict.fromkeys(("far", "where", "hidden", "unseen_per_turn", "ranking", "skipped_rows"), ()),
         **{name: {} for name in ("hidden_parts", "absent", "detectable", "coefficients")},
     }
     return DiagnoseResult.from_object(
@@ -364,7 +373,8 @@ def print_one(full: FullDiagnosis, files: Files, out: Console) -> None:
     _limits_of_sight(full, out)
     _files(full.diagnosis, files, out)
     lead = words.lead(diagnosis).upper()
-    out.print(f"{full.source}: {lead}: {typeset(words.verdict_in_words(diagnosis))}", style="bold")
+    told = filter(None, [words.verdict_in_words(diagnosis), words.surer_in_words(full.next_measurement)])
+    out.print(f"{full.source}: {lead}: {typeset('; '.join(told))}", style="bold")
 
 
 def print_several(results: Sequence[tuple[FullDiagnosis, Files]], out: Console) -> None:
@@ -379,7 +389,7 @@ def print_several(results: Sequence[tuple[FullDiagnosis, Files]], out: Console) 
             diagnosis.verdict,
             words.alike_in_words([*mistakes, *diagnosis.effects]) or "nothing",
             typeset(words.p_in_column(min(looks))) if looks else "",
-            *(f"{size:.2f}" if gap.opened else "–" for size in (gap.before, gap.after)),
+            *(f"{size:.2f}" if gap.folds else "–" for size in (gap.before, gap.after)),
             str(files.model or ""),
         )
     for full, _ in results:
@@ -442,6 +452,8 @@ def _effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None
     if effect.aliases:
         orders = words.orders_in_words(effect.aliases)
         out.print(f"  at the angles measured what repeats {orders} times a turn would look the same")
+    if effect.odds:
+        out.print(f"  probability: {words.odds_in_words(effect)}")
     rho = f", {effect.rho:.1f} times the noise in all (rho)" if effect.rho is not None else ""
     out.print(typeset(f"  {words.p_in_words(effect.p_all_looks)} with all looks counted{rho}"))
     for other in effect.cannot_tell_from:
@@ -470,15 +482,13 @@ def _form(diagnosis: Diagnosis, model: Path | None, out: Console) -> None:
 
 def _gap(diagnosis: Diagnosis, shown: ModelComparison, out: Console) -> None:
     gap, after = diagnosis.gap, shown.after
-    if gap.opened:
+    if gap.folds:
         told = words.closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
         out.print(
             f"{told[0].upper()}{told[1:]}, on readings not used: reduced chi-square {gap.before:.2f} before, "
             f"{gap.after:.2f} after (noise alone: 1; {words.p_in_words(gap.p_after, 2)} after); residuals "
             f"{quantity(gap.before_rms, gap.unit)} before, {quantity(gap.after_rms, gap.unit)} after"
         )
-    for line in words.left_out_in_words(gap):
-        out.print(f"  not counted: {line}")
     if gap.reason:
         out.print(f"  not confirmed: {gap.reason}")
     if after is not None and after.tested:

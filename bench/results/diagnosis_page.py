@@ -133,11 +133,10 @@ def _held_out(gap: Gap) -> list[Row]:
                 ", ".join(fold.gains) or "nothing",
                 f"{fold.before.reduced:.2f}",
                 f"{fold.after.reduced:.2f}",
-                "yes" if fold.counted else f"no: {fold.blind}",
             ),
         )
         for fold in gap.folds
-    ] + [Row(label, ("", "", "", f"no: {UNDETERMINED}")) for label in gap.undetermined]
+    ] + [Row(label, (f"not held out: {UNDETERMINED}", "", "")) for label in gap.undetermined]
 
 
 def _coefficients(shown: ModelComparison) -> list[Row]:
@@ -291,15 +290,7 @@ def gap_bars(gap: Gap) -> str:
         for key, heights, shift, colour in (
             ("before", before, -0.19, VERMILION), ("after", after, 0.19, BLUE),
         ):  # fmt: skip
-            for counted in (True, False):
-                chosen = [i for i, fold in enumerate(folds) if fold.counted is counted]
-                if chosen:
-                    axes.bar(
-                        places[chosen] + shift, [heights[i] for i in chosen], width=0.36,
-                        color=colour if counted else "white", edgecolor=colour,
-                        hatch="" if counted else "////", linewidth=0.8,
-                        label=key if counted else f"{key}, not counted",
-                    )  # fmt: skip
+            axes.bar(places + shift, heights, width=0.36, color=colour, linewidth=0.8, label=key)
         axes.axhline(1.0, color=GREY, linestyle=(0, (6, 3)), linewidth=1.1, label="noise alone")
         axes.set_xticks(places, names)
         axes.grid(visible=False, axis="x")

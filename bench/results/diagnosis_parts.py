@@ -67,12 +67,28 @@ class FoundPart(ResultModel):
     p_all_looks: Real = Field(
         description="everything that was looked at counted; of a mistake never 0, 2.2e-308 stands for less"
     )
-    rho: Real = Field(default=None, description="size in units of noise")
+    rho: Real = Field(
+        default=None,
+        description="size over its u: |value|/u of one number, of several the root of their chi-square",
+    )
     words: str = Field(description="the sentence on it")
+
+
+class OddsPart(ResultModel):
+    """A name that may stand in the place of an effect found, with its posterior probability."""
+
+    name: str
+    probability: float
 
 
 class EffectPart(FoundPart):
     """An effect or a mistake that was found."""
+
+    odds: list[OddsPart] = Field(
+        default=[],
+        description="the names that may stand in this place, the most probable first; `unnamed_form` is any form "
+        "without a name",
+    )
 
     installations: list[str] = Field(description="mountings that have it; empty where it is of all")
     plainer_than: list[str] = Field(
@@ -94,10 +110,9 @@ class FoldPart(ResultModel):
     """A fold: the readings held out, and how well the fit to all others predicts them."""
 
     what: str
-    confirmable: bool = Field(description="whether the other readings could have shown the effect")
+    confirmable: bool = Field(description="whether the other readings determine the coefficients")
     counted: bool = Field(
-        description="whether it counts in `before` and `after` above: it can confirm what was found, or is made "
-        "worse by what the others named"
+        description="whether it counts in `before` and `after` above; every fold measured does"
     )
     left_out: str | None = Field(description="why it does not count")
     named_without_it: list[str]
@@ -203,7 +218,7 @@ class TermPart(ResultModel):
     sizes: list[SizePart]
     family: str
     could_also_be: list[str]
-    rho: float = Field(description="size in units of noise")
+    rho: float = Field(description="size over its u, as of effects")
     p: float = Field(description="for this term alone")
 
 
@@ -269,7 +284,7 @@ def mistake_part(mistake: Mistake) -> EffectPart:
 
 def gap_part(gap: Gap) -> GapPart:
     """Return a gap as results have it; its sizes are null where no fold counts."""
-    opened = bool(gap.opened)
+    opened = bool(gap.folds)
     return GapPart.from_object(
         gap,
         before=gap.before if opened else None,
@@ -288,7 +303,9 @@ def _fold_part(fold: Fold) -> FoldPart:
     return FoldPart.from_object(
         fold,
         what=fold.label,
-        left_out=None if fold.counted else fold.blind,
+        confirmable=True,
+        counted=True,
+        left_out=None,
         named_without_it=list(fold.gains),
         before=fold.before.reduced,
         after=fold.after.reduced,
@@ -311,19 +328,17 @@ def form_part(form: FreeForm) -> FormPart:
         terms=[_term_part(term) for term in form.terms],
         gap=FormGapPart.from_object(
             form,
-            before=form.before if form.counted else None,
-            after=form.after if form.counted else None,
+            before=form.gap.before if form.gap.folds else None,
+            after=form.gap.after if form.gap.folds else None,
+            closed=form.gap.closed,
             floor=FLOOR,
-            before_rms=rms([fold.before[0] for fold in form.counted]),
-            after_rms=rms([fold.after[0] for fold in form.counted]),
+            before_rms=form.gap.before_rms,
+            after_rms=form.gap.after_rms,
             held_out=[
                 FormFoldPart(
-                    what=fold.label,
-                    counted=fold.counted,
-                    before=fold.before[1] / fold.count,
-                    after=fold.after[1] / fold.count,
+                    what=fold.label, counted=True, before=fold.before.reduced, after=fold.after.reduced
                 )
-                for fold in form.folds
+                for fold in form.gap.folds
             ],
         ),
         dark_uncertainty=dark.value if dark.there else 0.0,

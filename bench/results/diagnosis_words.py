@@ -10,11 +10,13 @@ from typing import Final
 
 import numpy as np
 
+from bench.base.arrays import CHANNELS
 from bench.base.numbers import fixed, quantity, rounded, two_digits, typeset, uncertainty
 from bench.diagnosis.confirm import EffectNow
 from bench.diagnosis.free_records import FreeDiagnosis
-from bench.diagnosis.gap import UNDETERMINED, Gap
+from bench.diagnosis.gap import Gap
 from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.next_measurement import Proposal
 from bench.diagnosis.pipeline import FullDiagnosis, Rival
 from bench.diagnosis.residual_model import FormTerm, FreeForm, UnexplainedScatter
 from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect
@@ -93,6 +95,12 @@ def effect_title(effect: NamedEffect | Mistake) -> str:
         several = "s" if len(effect.installations) > 1 else ""
         title += f" in installation{several} {', '.join(effect.installations)}"
     return title
+
+
+def mistake_title(mistake: Mistake) -> str:
+    """Return a mistake with its place: "outlier of z in installation 2, pass 1, point 5"."""
+    numbers = [("pass", mistake.pass_number), ("point", mistake.point)]
+    return ", ".join([effect_title(mistake), *(f"{what} {n}" for what, n in numbers if n is not None)])
 
 
 def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
@@ -218,24 +226,62 @@ def micro_g(value_g: float) -> str:
 
 def gap_in_words(gap: Gap) -> str:
     """Return how far naming closes the gap on readings held out; empty where no held-out reading counts."""
-    if not (gap.named and gap.opened):
+    if not (gap.named and gap.folds):
         return ""
     told = closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
     return f"{told}, on readings not used"
 
 
-def left_out_in_words(gap: Gap) -> Iterator[str]:
-    """Yield the held-out folds that do not count, with their number and the reason."""
-    for fold in gap.left_out:
-        yield f"{fold.label}: {fold.before.reduced:.2f} before, {fold.after.reduced:.2f} after; {fold.blind}"
-    for readings in gap.undetermined:
-        yield f"{readings}: not predicted; {UNDETERMINED}"
-
-
 def verdict_in_words(diagnosis: Diagnosis) -> str:
     """Return the reason for the verdict, one sentence without its full stop."""
-    told = gap_of_verdict(diagnosis)
-    return what_in_words(diagnosis) + (f"; {told}" if told else "")
+    told = [what_in_words(diagnosis), gap_of_verdict(diagnosis), *warnings_in_words(diagnosis)]
+    return "; ".join(filter(None, told))
+
+
+def surer_in_words(proposal: Proposal | None) -> str:
+    """Return what it costs to tell a tie, in hours, and how likely it is to be told; empty without a tie."""
+    one = None if proposal is None else proposal.surer
+    if one is None:
+        return ""
+    return (
+        f"to be surer: '{one.procedure}', {one.hours:.1f} h, gives one name 95 % with {_percent(one.answers)}"
+    )
+
+
+NOISY: Final = 4.0
+"""A channel so many times as noisy as the others is in the headline."""
+LISTED_FAR: Final = 4
+
+
+def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
+    """Yield what a headline must not leave out: readings far from the model, a channel of much more noise."""
+    sizes = diagnosis.noise_by_channel
+    for i, channel in enumerate(CHANNELS):
+        others = float(np.sqrt(np.mean(np.delete(sizes, i) ** 2)))
+        if sizes[i] >= NOISY * others:
+            yield f"channel {channel} is {sizes[i] / others:.1f} times as noisy as the others"
+    if diagnosis.far:
+        listed = "; ".join(one.words for one in diagnosis.far[:LISTED_FAR])
+        more = f" and {len(diagnosis.far) - LISTED_FAR} more" if len(diagnosis.far) > LISTED_FAR else ""
+        yield (
+            f"far from this model: {listed}{more} (the noise as fitted gives as much anywhere with "
+            f"{p_in_words(diagnosis.far[0].p)})"
+        )
+
+
+def odds_in_words(effect: NamedEffect) -> str:
+    """Return the odds of the names in the place of an effect: "97 % cubic_nonlinearity, 2 % scale_asymmetry"."""
+    shown = [one for one in effect.odds if one.probability >= LEAST_SHOWN]
+    return ", ".join(f"{_percent(one.probability)} {one.name}" for one in shown)
+
+
+LEAST_SHOWN: Final = 0.01
+"""Names of lower probability are left to the JSON."""
+
+
+def _percent(probability: float) -> str:
+    """Return a probability in per cent; never 100 %."""
+    return "> 99 %" if probability > 0.995 else f"{100 * probability:.0f} %"
 
 
 def gap_of_verdict(diagnosis: Diagnosis) -> str:
@@ -252,14 +298,19 @@ def what_in_words(diagnosis: Diagnosis) -> str:
             return "readings and model agree within the noise"
         case "mistake":
             found = ", ".join(
-                " or ".join([mistake.name, *mistake.cannot_tell_from])
+                " or ".join([mistake_title(mistake), *mistake.cannot_tell_from])
                 for mistake in diagnosis.mistakes.mistakes
             )
             return f"{found}; put right in a copy: {_of_copy_in_words(diagnosis)}"
         case "named":
-            return ", ".join(effect_title(effect) for effect in effects)
+            return ", ".join(f"{effect_title(effect)} ({odds_in_words(effect)})" for effect in effects)
         case "confounded":
-            return alike_in_words(effects)
+            return ", ".join(
+                odds_in_words(effect)
+                if effect.cannot_tell_from
+                else f"{effect_title(effect)} ({odds_in_words(effect)})"
+                for effect in effects
+            )
     return "; ".join([*(effect.words for effect in effects), *(one.words for one in diagnosis.findings)])
 
 
@@ -355,9 +406,8 @@ def evidence_in_words(full: FullDiagnosis, file_of_copy: Path | None) -> dict[st
         copy = "a copy" if file_of_copy is None else str(file_of_copy)
         evidence["rests on"] = f"{copy} with these mistakes put right: {mended}"
     for effect, found in zip(diagnosis.effects, diagnosis.naming.found, strict=False):
-        text = (
-            f"ln odds {found.evidence:.2f}, p {effect.p_all_looks:.2g} with all looks, rho {found.size:.1f}"
-        )
+        rho = effect.rho or 0.0
+        text = f"ln odds {found.evidence:.2f}, p {effect.p_all_looks:.2g} with all looks, rho {rho:.1f}"
         if effect.cannot_tell_from:
             text += f"; the data cannot tell it from {', '.join(effect.cannot_tell_from)}"
         if effect.plainer_than:
@@ -367,7 +417,7 @@ def evidence_in_words(full: FullDiagnosis, file_of_copy: Path | None) -> dict[st
     if diagnosis.form is not None and diagnosis.form.applied:
         evidence |= _evidence_for_form(diagnosis.form)
     evidence["gap"] = gap.reason
-    if gap.opened:
+    if gap.folds:
         evidence["gap"] = (
             f"reduced chi-square of readings held out {gap.before:.3f} before, {gap.after:.3f} after, "
             f"1 expected; p after {gap.p_after:.2g}; root mean square {micro_g(gap.before_rms_g)} before, "
@@ -384,12 +434,12 @@ def _evidence_for_form(form: FreeForm) -> dict[str, str]:
     """Return the evidence for the unnamed terms."""
     closed = (
         "not measured"
-        if form.closed is None
-        else f"{100 * form.closed:.0f} % of the gap on readings held out"
+        if form.gap.closed is None
+        else f"{100 * form.gap.closed:.0f} % of the gap on readings held out"
     )
     return {
         **{term.effect.name: f"{term.family}; rho {term.rho:.1f}" for term in form.terms},
-        "closed by the unnamed terms": f"{closed}, {form.before:.3f} before, {form.after:.3f} after",
+        "closed by the unnamed terms": f"{closed}, {form.gap.before:.3f} before, {form.gap.after:.3f} after",
     }
 
 
@@ -400,9 +450,15 @@ def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
     return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]
 
 
+def either_in_words(effect: EffectNow) -> str:
+    """Return the names of a tie of which the model has the first, "either of A or B"; empty for a lone name."""
+    names = effect.applied.either_of
+    return f"either of {', '.join(names[:-1])} or {names[-1]}" if len(names) > 1 else ""
+
+
 def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
     """Yield lines on an effect in new readings: its verdict, and its values then and now."""
-    name = label(effect.applied)
+    name = either_in_words(effect) or label(effect.applied)
     if effect.verdict is None:
         yield f"{name}: these readings do not show it"
         return
@@ -449,10 +505,11 @@ def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
         yield term_in_words(term)
         also = f"; could also be: {'; '.join(term.could_also_be)}" if term.could_also_be else ""
         yield f"that is {term.family}, {term.rho:.1f} times the noise in all (rho){also}"
-    if form.terms and form.counted:
-        closed = "" if form.closed is None else f", which closes {100 * form.closed:.0f} % of the gap"
+    if form.terms and form.gap.folds:
+        closed = "" if form.gap.closed is None else f", which closes {100 * form.gap.closed:.0f} % of the gap"
         yield (
-            f"on readings not used: reduced chi-square {form.before:.2f} before, {form.after:.2f} with the terms "
+            f"on readings not used: reduced chi-square {form.gap.before:.2f} before, {form.gap.after:.2f} with the "
+            "terms "
             f"found without them{closed}"
         )
     if form.terms and not form.predicts:

@@ -14,14 +14,14 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.base.computing import quiet
 from bench.base.numbers import aligned, concise, quantity, rounded, scale_for, typeset
 from bench.base.result_model import Real, ResultModel
-from bench.diagnosis.free_records import OUTLIER, BetweenRecords, FreeDiagnosis, FreeFound
+from bench.diagnosis.free_records import OUTLIER, BetweenRecords, FreeDiagnosis
 from bench.diagnosis.gap import Gap
-from bench.diagnosis.result import Verdict
+from bench.diagnosis.result import NamedEffect, Verdict
 from bench.model.effects import CATALOGUE
 from bench.model.geometry import COEFFICIENTS
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis_page import INK, STATES, drawn, gap_bars
-from bench.results.diagnosis_parts import FoundPart, GapPart, VerdictOfCopy, gap_part
+from bench.results.diagnosis_parts import FoundPart, GapPart, OddsPart, VerdictOfCopy, gap_part
 from bench.results.diagnosis_words import NO_FILES, Files
 from bench.results.parts import BenchPart, CorrectionPart
 from bench.results.plots import BLUE, GREY, PASS_COLOURS, PASS_FILLS, VERMILION, legend_of, svg_figure
@@ -30,6 +30,14 @@ from bench.results.tables import Row, page, symbol
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+class FreeFoundPart(FoundPart):
+    """An effect that was found, or a position that stands apart."""
+
+    odds: list[OddsPart] = Field(
+        default=[], description="the names that may stand in this place, the most probable first"
+    )
 
 
 class FreePlace(ResultModel):
@@ -92,7 +100,7 @@ class FreeDiagnoseResult(ResultModel):
 
     verdict: Verdict
     where: list[FreePlace] = Field(description="records and sensors in which |a| is off, the largest first")
-    effects: list[FoundPart]
+    effects: list[FreeFoundPart]
     next_measurement: None
     hidden: list[str] = Field(description="effects that free positions could never show")
     gap: GapPart = Field(
@@ -138,12 +146,14 @@ def free_result(
     return FreeDiagnoseResult.from_object(
         found,
         where=[FreePlace.model_validate(place) for place in found.where],
-        effects=[*map(_outlier, found.apart), *map(FoundPart.model_validate, found.found)],
+        effects=[*map(_outlier, found.apart), *map(FreeFoundPart.model_validate, found.found)],
         next_measurement=None,
         hidden=hidden(),
         gap=gap_part(found.gap),
         model=files.model,
-        noise=FreeNoise(reading=found.noise_g, unit="g", stated=found.stated_g, dof=found.freedom),
+        noise=FreeNoise(
+            reading=found.noise.reading, unit="g", stated=found.stated_g, dof=found.noise.freedom
+        ),
         between_records=None if found.between is None else _between(found.between),
         sensors=found.rows.sensors,
         models=list(files.models),
@@ -169,8 +179,8 @@ def hidden() -> list[str]:
     return [name for name, effect in CATALOGUE.items() if effect.subsystem.value != "block"]
 
 
-def _outlier(text: str) -> FoundPart:
-    return FoundPart(
+def _outlier(text: str) -> FreeFoundPart:
+    return FreeFoundPart(
         name=OUTLIER, channels=[], cannot_tell_from=[], parameters={}, p=None, p_all_looks=None, words=text
     )
 
@@ -205,7 +215,7 @@ def readings_named(found: FreeDiagnosis) -> str:
     return found.source if len(parts) <= LISTED else f"{parts[0]} … {parts[-1]} ({len(parts)} readings files)"
 
 
-def title_of(one: FreeFound) -> str:
+def title_of(one: NamedEffect) -> str:
     """Return the name of an effect, its channels, and the effects that the data cannot tell from it."""
     of = f" of {', '.join(one.channels)}" if one.channels else ""
     return " or ".join([one.name + of, *one.cannot_tell_from])
@@ -227,7 +237,7 @@ def gap_told(found: FreeDiagnosis) -> str:
     return words.gap_in_words(found.gap)
 
 
-def parameter_lines(one: FreeFound) -> list[str]:
+def parameter_lines(one: NamedEffect) -> list[str]:
     """Return a line for each parameter: "K2 of y = 1980 ± 40 µg/g² (u)", of a sensor by itself with its number."""
     lines = [
         words.parameter_in_words(value, f" of {value.installations}" if value.installations else "")
@@ -284,7 +294,7 @@ def print_free(found: FreeDiagnosis, files: Files, out: Console) -> None:
     for text in found.apart:
         out.print(f"Mistake: outlier: {text}", style="bold")
     for place in found.where:
-        out.print(f"  {place['pattern']}: |a| is off by {quantity(place['size'], 'g')} (rms)")
+        out.print(f"  {place.pattern}: |a| is off by {quantity(place.size, 'g')} (rms)")
     for one in found.found:
         out.print(f"Found: {title_of(one)}", style="bold")
         out.print(typeset(f"  {one.words}"))
@@ -306,7 +316,7 @@ def print_free(found: FreeDiagnosis, files: Files, out: Console) -> None:
 
 
 def _print_gap(gap: Gap, out: Console) -> None:
-    if gap.opened:
+    if gap.folds:
         out.print(
             f"Gap on positions held out: reduced chi-square {gap.before:.2f} before, {gap.after:.2f} after "
             f"(noise alone: 1); |a| is off by {quantity(gap.before_rms, 'g')} before, "
@@ -421,7 +431,7 @@ def modulus_in_time(found: FreeDiagnosis) -> str:
             axes.axhline(0.0, color=GREY, linewidth=0.7)
             for number in (2.0, -2.0):
                 axes.axhline(
-                    number * found.noise_g / scale.size, color=GREY, linestyle=(0, (6, 3)), linewidth=0.9,
+                    number * found.noise.reading / scale.size, color=GREY, linestyle=(0, (6, 3)), linewidth=0.9,
                     label="two standard deviations of the noise",
                 )  # fmt: skip
             for record in np.unique(rows.record):
@@ -475,7 +485,11 @@ def modulus_by_record(found: FreeDiagnosis) -> str:
                         label=what,
                     )  # fmt: skip
         axes.axhline(
-            found.noise_g / scale.size, color=GREY, linestyle=(0, (6, 3)), linewidth=1.1, label="noise alone"
+            found.noise.reading / scale.size,
+            color=GREY,
+            linestyle=(0, (6, 3)),
+            linewidth=1.1,
+            label="noise alone",
         )
         axes.set_xticks(np.arange(len(records)), [f"record {r + 1}" for r in records])
         axes.grid(visible=False, axis="x")
@@ -535,8 +549,7 @@ def render_free(
             for fold in found.gap.folds
         ],
         places=[
-            Row(p["pattern"], (quantity(p["size"], "g"), typeset(words.p_in_column(p["p"]))))
-            for p in found.where
+            Row(p.pattern, (quantity(p.size, "g"), typeset(words.p_in_column(p.p)))) for p in found.where
         ],
         coefficients=list(_coefficients(found)),
         zeros=list(_zeros(found)),

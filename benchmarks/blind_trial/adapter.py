@@ -66,6 +66,11 @@ def _own() -> tuple[Effect, ...]:
     return load_effects(FORMULAS)
 
 
+def forget_thresholds() -> None:
+    """Forget the thresholds of all designs: something that they depend on has changed."""
+    _bench()[3].known.clear()
+
+
 def diagnose_case(case: Case) -> dict[str, Any]:
     """Return the diagnosis of a case (see `_diagnosed`), with the formulas of the user's own where it has them."""
     if case.free:

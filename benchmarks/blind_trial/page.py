@@ -1,4 +1,4 @@
-"""The trial's result as it is stored (counts, in JSON), and the part of docs/diagnosis.md that is made of it.
+"""The trial's result as it is stored (counts, in JSON), and the part of docs/diagnosis-trial.md that is made of it.
 
 python -m benchmarks.blind_trial.page          # write that part again from the stored result
 """
@@ -17,7 +17,7 @@ from benchmarks.blind_trial.score import NOT_SHRUNK, Outcome
 from benchmarks.campaign import Share
 
 _DOCS: Final = Path(__file__).parents[2] / "docs"
-PAGE: Final = _DOCS / "diagnosis.md"
+PAGE: Final = _DOCS / "diagnosis-trial.md"
 STORED: Final = _DOCS / "blind-trial.json"
 BEGIN: Final = "<!-- begin: written by make blind-trial from blind-trial.json -->"
 END: Final = "<!-- end -->"

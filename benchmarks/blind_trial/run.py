@@ -30,6 +30,7 @@ from benchmarks.blind_trial.free_positions import DESIGN, NOISE_G
 from benchmarks.blind_trial.mistakes import MISTAKES, SLIPS
 from benchmarks.blind_trial.outside import COMMON_VOLTS, HAND_SET, OTHER_PSI, REPAIRED, SUPPLIED
 from benchmarks.blind_trial.page import stored, sums, tables, write
+from benchmarks.blind_trial.perturb import perturb
 from benchmarks.blind_trial.score import (
     Diagnose,
     Marks,
@@ -155,9 +156,10 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         only={"metavar": "KIND", "help": "null, single, own, pair, outside, hidden, mistake, many, ..."},
         ties={"choices": ["signature", "table"], "default": "signature"},
         json={"metavar": "FILE", "help": "score and outcomes; - for standard output"},
-        page=(False, "write docs/blind-trial.json and docs/diagnosis.md"),
+        page=(False, "write docs/blind-trial.json and docs/diagnosis-trial.md"),
         keep=(Path, "keep diagnoses here; called again, go on where it stopped"),
         ledger=(Path, "append the seals of the cases here"),
+        perturb=(False, "what changes with each constant of the diagnosis 30 % smaller and larger"),
     )  # fmt: skip
     if not 0.0 < given.share <= 1.0:
         refuse("--share is a part of the cases, above 0 and at most 1")
@@ -250,6 +252,9 @@ def main(argv: Sequence[str] | None = None, diagnose: Diagnose = diagnose_case) 
     given = _arguments(argv)
     rows = _rows(given)
     tasks = [Task(given.seed, row, index) for row in rows for index in range(row.count)]
+    if given.perturb:
+        print("\n".join(perturb(tasks, given.workers)))
+        return 0
     start = time.perf_counter()
     try:
         kept = None if given.keep is None else kept_in(given.keep, given.seed)

@@ -40,7 +40,7 @@ def diagnosed(case: Case, *, new_day: bool = False) -> dict[str, Any]:
     record |= {
         "cpu": round(time.process_time() - begun, 2), "verdict": found["verdict"], "headline": headline(text),
         "names": [one["name"] for one in effects], "ties": [one["cannot_tell_from"] for one in effects],
-        "found_rho": [one.get("rho") for one in effects], "odds": found.get("odds"),
+        "found_rho": [one.get("rho") for one in effects], "odds": _odds(effects),
         "gap": {key: (found["gap"] or {}).get(key) for key in ("before", "after", "shrinks")},
         "kinds": [one["what"] for one in (found["noise"] or {}).get("kinds", [])],
         "words": [one["words"] for one in effects],
@@ -117,3 +117,9 @@ def _calibrated(case: Case, form: Form, path: Path, number: int) -> dict[str, li
         when: [round((one.coefficients[name].value - TRUE[name]) / u[name], 2) for name in COEFFICIENTS]
         for when, one in both.items()
     }
+
+
+def _odds(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the stated probabilities of the names in the place of the only effect found."""
+    odds = effects[0].get("odds", []) if len(effects) == 1 else []
+    return [{"names": [one["name"]], "probability": one["probability"]} for one in odds]

@@ -1,6 +1,7 @@
 """`bench diagnose` as its user types it: find, add, show, and what the next command makes of the model."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -57,6 +58,12 @@ def test_an_effect_hidden_in_a_dry_run_is_named_added_and_the_gap_shrinks(bench)
     rate = effect["parameters"]["rate"]["y"]
     assert abs(rate["value"] - 250) < 4 * rate["u"]
     assert "Found: bias_drift of y" in out
+    first, *rest = effect["odds"]
+    assert first["name"] == "bias_drift"
+    assert (
+        0.95 <= first["probability"] <= first["probability"] + sum(o["probability"] for o in rest) <= 1 + 1e-9
+    )
+    assert re.search(r"FOUND AND NAMED: bias_drift of y \((> )?\d+ % bias_drift", out.splitlines()[-1])
     # the gap closes on readings that were not used, and the simulated bench is like the real one
     assert found["gap"]["before"] > 2
     assert abs(found["gap"]["after"] - 1) < 0.25

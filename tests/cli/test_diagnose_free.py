@@ -60,7 +60,7 @@ def test_what_is_found_is_written_as_a_page_and_as_a_model_that_calibrate_and_co
     assert (status, err, result["verdict"]) == (0, "", "confirmed"), out
     assert result["closed"] > 0.9
     assert result["after_rms_ug"] < 0.5 * result["before_rms_ug"]
-    assert "again.csv: CONFIRMED: gap closed" in out
+    assert "again.csv: CONFIRMED: either of warm_up or thermal_settling; gap closed" in out
     # the model given is not searched for again
     assert "NOTHING FOUND" in bench("diagnose", "again.csv", "--model", named["model"])[1]
 

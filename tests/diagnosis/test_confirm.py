@@ -4,11 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import special
 
 from bench.calibration import CalibrationError
-from bench.diagnosis.confirm import confirm
+from bench.calibration.design import EffectUnknown
+from bench.config.model_file import load_model, write_model_file
+from bench.diagnosis.confirm import EstimatedEffects, confirm, judged
 from bench.model import CATALOGUE, AppliedEffect
-from tests.diagnosis.test_naming import Ready
+from bench.results.diagnosis_words import effect_now_in_words, either_in_words
+from tests.diagnosis.test_next_measurement import Fixed
 from tests.support.diagnosis_bench import MODEL, STAND, paper_run
 
 NOMINAL = np.array([-2.18, -2.14, -2.14])
@@ -22,7 +26,7 @@ FOUND = AppliedEffect(
 
 def held_against(found, seed, **hidden):
     model = replace(MODEL, effects=(found,))
-    return confirm(paper_run(np.random.default_rng(seed), **hidden), model, STAND, NOMINAL, Ready(None))
+    return confirm(paper_run(np.random.default_rng(seed), **hidden), model, STAND, NOMINAL, Fixed(None))
 
 
 @pytest.mark.slow
@@ -67,3 +71,42 @@ def test_readings_that_could_not_show_it_confirm_nothing():
     small = replace(FOUND, values={"K2": np.array([0.0, 5e-6, 0.0])})
     with pytest.raises(CalibrationError, match=r"could not show what the model has.*more passes"):
         held_against(small, 64)
+
+
+GAINS = tuple(
+    AppliedEffect(
+        CATALOGUE["meters_exchanged"], {"xy_gain": np.asarray(size)}, installations=(mount,), either_of=names
+    )
+    for names in [("meters_exchanged", "voltmeter_gain")]
+    for mount, size in (("1", 150e-6), ("2", -150e-6))
+)
+COMMON, APART = 380.0, 0.5
+"""Variances of the sum and the difference of two values, over the root of 2, in plausible sizes squared."""
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict"), [((1.0, -1.0), "confirmed"), ((-5.0, 5.0), "gone"), ((9.0, 9.0), "confirmed")]
+)
+def test_what_is_known_in_the_difference_of_two_mountings_is_judged_in_it(change, verdict):
+    """Neither value is known to 10 plausible sizes, their difference is: 10 in the model, of variance 2 * 0.5."""
+    unknowns = [EffectUnknown(i, "xy_gain", None, 0.0, 1.0, stated=True) for i in range(2)]
+    turned = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2.0)
+    covariance = turned @ np.diag([COMMON, APART]) @ turned.T
+    found = np.array([5.0, -5.0])
+    estimated = EstimatedEffects(np.full(2, 30e-6), found, np.full(2, 4.0), np.array(change), covariance)
+    model = replace(MODEL, effects=GAINS)
+    for now in judged(model, unknowns, estimated):
+        assert now.verdict == verdict
+        difference = change[0] - change[1]
+        # the model's u of it is taken to be that of these readings, not that of the two values
+        assert now.p_same == pytest.approx(special.chdtrc(1, difference**2 / (4 * APART)))
+        assert now.p_none == pytest.approx(special.chdtrc(1, (10.0 + difference) ** 2 / (2 * APART)))
+        assert either_in_words(now) == "either of meters_exchanged or voltmeter_gain"
+        assert next(effect_now_in_words(now)).startswith(f"{either_in_words(now)}: {verdict}")
+
+
+def test_a_tie_keeps_its_names_in_a_model_file(tmp_path):
+    write_model_file(tmp_path / "tied.yaml", "tied", [*GAINS, FOUND])
+    effects = load_model(tmp_path / "tied.yaml").applied_effects()
+    names = ("meters_exchanged", "voltmeter_gain")
+    assert [one.either_of for one in effects] == [names, names, ()]

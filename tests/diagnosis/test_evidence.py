@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from bench.diagnosis.evidence import KNOWN_SIZE, SIZES, Search
+from bench.diagnosis.candidates import Candidates
+from bench.diagnosis.evidence import KNOWN_SIZE, SIZES, Search, Whitened
 from bench.diagnosis.multi_run_system import make_system
+from bench.diagnosis.naming import Scored, in_place
 from bench.diagnosis.noise_grid import RATIOS, coupled, make_whitener
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.readings.table import JoinedPart, together
@@ -41,25 +43,6 @@ def dense_log_likelihood(one, extra, ratio_rad_per_v):
     )
 
 
-def test_the_likelihood_of_a_slip_is_that_with_three_angles_in_the_likeliest_pass(one):
-    """The ratio of dense likelihoods, the angles as free as what the model has, without the price of that."""
-    grid, slips = one.whitened.grid, one.candidates.slips
-    assert len(slips) == 8  # of two installations with three passes: from two of them on, and two alone
-    scaled = one.candidates.columns / NOISE_V
-    base = zip(grid.log_prior, grid.setting_rad_per_noise, grid.white, strict=True)
-    null, of_slip = [], []
-    for prior, ratio, white in base:
-        null.append(prior + dense_log_likelihood(one, [], ratio))
-        each = [KNOWN_SIZE * scaled[:, list(one.candidates.variants[i].columns)] for i in slips]
-        price = [0.5 * np.linalg.slogdet(np.eye(3) + (white @ c).T @ (white @ c))[1] for c in each]
-        with_one = [dense_log_likelihood(one, [c], ratio) for c in each]
-        of_slip.append([prior + one + p for one, p in zip(with_one, price, strict=True)])
-    expected = float(np.max(logsumexp(of_slip, axis=0) - logsumexp(null)))
-    data = one.whitened.reduce(one.linear.response[:, None])
-    found = Search.beside(one.whitened, ()).likelihood_ratio(data, slips)
-    assert found[0] == pytest.approx(expected, abs=1e-5)
-
-
 def dense_evidence(one, columns, known=()):
     grid = one.whitened.grid
     scaled = one.candidates.columns / NOISE_V
@@ -80,6 +63,59 @@ def test_evidence_is_the_ratio_of_marginal_likelihoods(one, family):
     number = next(i for i, v in enumerate(one.candidates.variants) if v.family == family)
     expected = dense_evidence(one, one.candidates.variants[number].columns)
     assert scores.variants[number, 0] == pytest.approx(expected, abs=1e-5)
+
+
+def brute_force(one, variant):
+    """ln of the marginal likelihood by sums over sizes, noise ratios and sigma; flat coefficients, 1/sigma."""
+    linear, grid = one.linear, one.whitened.grid
+    scaled, x = one.candidates.columns / NOISE_V, linear.fixed
+    setting = (linear.setting[:, None] == linear.setting) & (linear.setting >= 0)[:, None]
+    ln_sigma = np.linspace(np.log(0.3), np.log(3.0), 400)
+    cells = []
+    for prior, ratio in zip(grid.log_prior, grid.setting_rad_per_noise, strict=True):
+        for size, weight in zip(SIZES, (0.6, 0.28, 0.12), strict=True):
+            columns = size * scaled[:, list(variant.columns)]
+            whole = (
+                np.eye(len(linear)) + np.where(setting, np.outer(linear.slope, linear.slope), 0) * ratio**2
+            )
+            whole += linear.random @ linear.random.T / NOISE_V**2 + columns @ columns.T
+            inverse = np.linalg.inv(whole)
+            normal = x.T @ inverse @ x
+            left = linear.response - x @ np.linalg.solve(normal, x.T @ inverse @ linear.response)
+            chi2 = left @ inverse @ left / NOISE_V**2
+            density = -(len(linear) - 12) * ln_sigma - 0.5 * chi2 * np.exp(-2 * ln_sigma)
+            dets = np.linalg.slogdet(whole)[1] + np.linalg.slogdet(normal)[1]
+            cells.append(prior + np.log(weight) - 0.5 * dets + logsumexp(density))
+    return logsumexp(cells)
+
+
+def test_the_odds_of_names_in_a_place_are_those_of_bayes(one):
+    """Five families in one form each, about as likely: prior times marginal likelihood, over their sum."""
+    families = (
+        "quadratic_nonlinearity",
+        "cross_quadratic",
+        "cubic_nonlinearity",
+        "slow_in_time",
+        "bias_drift",
+    )
+    forms = [
+        next(v for v in one.candidates.variants if v.family == f and v.channels == (1,)) for f in families
+    ]
+    some = replace(one, candidates=replace_variants(one.candidates, forms))
+    some = replace(some, whitened=Whitened.of(one.whitened.grid, some.candidates))
+    scored = Scored.beside(some.whitened, some.whitened.reduce(one.linear.response[:, None]), ())
+    odds = {o.name: o.probability for o in in_place(scored, scored.best()).odds}
+    kinds = np.array([0.94 / 4] * 5)
+    kinds[families.index("slow_in_time")] = 0.03
+    logs = np.log(kinds / kinds.sum()) + [brute_force(one, form) for form in forms]
+    expected = dict(zip(families, np.exp(logs - logsumexp(logs)), strict=True))
+    assert sum(expected[name] for name in odds) > 0.995
+    for name, probability in odds.items():
+        assert probability == pytest.approx(expected[name], abs=2e-6)
+
+
+def replace_variants(candidates, variants):
+    return Candidates(candidates.columns, candidates.kinds, candidates.scale, tuple(variants))
 
 
 def test_evidence_beside_a_known_effect(one):

@@ -5,18 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.diagnosis import Threshold
+from bench.diagnosis import diagnose
 from bench.diagnosis.multi_run_system import make_system
-from bench.diagnosis.noise_grid import RATIOS, noise_of_repeats
-from bench.diagnosis.residual_dictionary import make_dictionary
-from bench.diagnosis.residual_model import SearchSettings, describe
+from bench.diagnosis.residual_dictionary import dictionary
 from bench.model import AppliedEffect
 from bench.readings.table import JoinedPart, together
-from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND_U, paper_run
-from tests.support.paper_bench import SETTING_U_RAD
+from tests.support.diagnosis_bench import MODEL, STAND, STAND_U, OneThreshold, paper_run
 
 HALF_WAVE_V = 200e-6
-LIMIT = Threshold(1.5, 0.006, 0.0, 0.05, 1.0, 2000)
 SCALE = 1.0 + np.array([[0.0, 0.0, 0.0], [0.01, -0.02, 0.015]])
 
 
@@ -44,37 +40,31 @@ def test_the_clock_and_the_turns_of_a_run_begin_with_it(system):
     assert set(turns.visit) == {1.0, 2.0, 3.0}  # the verification is the third
 
 
-@pytest.mark.slow
 def test_terms_are_those_of_one_run_and_add_the_same_to_every_block(system):
-    dictionary = make_dictionary(system, np.zeros((len(system), 0)))
-    families = {variant.family for variant in dictionary.candidates.variants}
-    alone = make_dictionary(system.parts[0], np.zeros((len(system.parts[0]), 0)))
-    assert families == {variant.family for variant in alone.candidates.variants}
-    for number in np.random.default_rng(2).choice(len(dictionary.candidates.variants), 12, replace=False):
-        variant = dictionary.candidates.variants[number]
-        kinds = [dictionary.candidates.kinds[c] for c in variant.columns]
-        effect = dictionary.of(variant).effect("one", per_channel=kinds[0].channel is not None)
+    listed, alone = list(dictionary(system)), list(dictionary(system.parts[0]))
+    assert {term.family for term, _, _ in listed} == {term.family for term, _, _ in alone}
+    for number in np.random.default_rng(2).choice(len(listed), 12, replace=False):
+        term, _, sizes = listed[number]
+        effect = term.effect("one", per_channel=sizes[0][1] is not None)
         values = {p.name: np.asarray(p.default) for p in effect.parameters if p.is_shape}
-        for column, kind in zip(variant.columns, kinds, strict=True):
-            size = dictionary.candidates.scale[column]
-            one = np.asarray(size) if kind.channel is None else size * np.eye(3)[kind.channel]
-            added = system.effect_column(AppliedEffect(effect, {**values, kind.parameter: one}))
+        for parameter, channel, column in sizes:
+            size = term.unit.plausible
+            one = np.asarray(size) if channel is None else size * np.eye(3)[channel]
+            added = system.effect_column(AppliedEffect(effect, {**values, parameter: one}))
             # the stand and the head are made linear: what is beyond grows with the square of an angle
             atol = 2e-4 * float(np.max(np.abs(added)))
-            np.testing.assert_allclose(dictionary.candidates.columns[:, column], added, rtol=1e-7, atol=atol)
+            np.testing.assert_allclose(column, added, rtol=1e-7, atol=atol)
 
 
 @pytest.mark.slow
 def test_a_form_of_the_bench_is_found_in_several_blocks_at_once(system):
-    about = SearchSettings(NOISE_V, SETTING_U_RAD, RATIOS[2:5], LIMIT)
-    repeats = noise_of_repeats(system, system.readings.resolution)
-    form = describe(system, np.zeros((len(system), 0)), repeats, about)
-    (term,) = form.terms
+    found = diagnose(system.readings, MODEL, STAND, None, OneThreshold())
+    (term,) = found.form.terms
     assert term.family == "a wave, 0.5 per turn, in the bias"
     (_, channel, _, _, _), (_, _, sine, u_sine, unit) = term.sizes()
     assert (channel, unit) == ("y", "ug")
     # a bias in g of the mean of the two scale factors, which are 2 % apart
     expected = HALF_WAVE_V / system.block.K[1, 1] / (1.0 + SCALE[1, 1]) * 2.0 * 1e6
     assert abs(sine - expected) < 4 * u_sine < 40
-    assert form.predicts
-    assert form.closed > 0.8
+    assert found.form.predicts
+    assert found.form.gap.closed > 0.8

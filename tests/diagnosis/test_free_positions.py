@@ -49,6 +49,8 @@ def test_a_square_of_the_sensor_is_named_with_its_size():
     found = diagnose_free([positions(1, 60, add=lambda a, t: a**2 * [0.0, 2e-3, 0.0])])
     first = found.found[0]
     assert "quadratic_nonlinearity" in {first.name, *first.cannot_tell_from}
+    assert first.odds[0].name in {first.name, *first.cannot_tell_from}
+    assert 0.99 <= sum(one.probability for one in first.odds) <= 1.0
     if first.name == "quadratic_nonlinearity":
         value = next(one for one in first.parameters if (one.parameter, one.channel) == ("K2", "y"))
         assert abs(value.value - 2000.0) < 4 * value.u

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from bench.diagnosis.evidence import KNOWN_SIZE
-from bench.diagnosis.gap import BLIND, NOT_THERE, OWN_VALUE, Fold, Gap, HeldOut, folds_of, restrict
+from bench.diagnosis.gap import Fold, Gap, HeldOut, folds_of, measure_gap, restrict, thirds_of
+from bench.diagnosis.naming import FoundEffect, Naming
 from bench.diagnosis.noise_grid import noise_of_repeats
 from bench.diagnosis.posterior import NoiseSize, posterior, predicted_error
 from bench.diagnosis.where import find_places
 from bench.results.diagnosis_parts import gap_part
-from tests.support.diagnosis_bench import NOISE_V, paper_run, set_up
+from tests.support.diagnosis_bench import NOISE_V, OneThreshold, paper_run, set_up
 from tests.support.paper_bench import SETTING_U_RAD
 
 
@@ -100,6 +101,39 @@ def test_where_is_silent_on_nulls():
     assert alarms <= 3
 
 
+# --- what is held out: passes where what was found repeats in them, else every third setting ----------
+
+
+def gap_of(one, family, mounts=()):
+    """The gap of one form of a family, which the search of each part of the readings finds again."""
+    form = next(v for v in one.candidates.variants if (v.family, v.mounts) == (family, mounts))
+    naming = Naming((FoundEffect(form, 100.0, 100.0, 10.0),), -1.0)
+    limit = OneThreshold().threshold(one.linear, one.whitened, SETTING_U_RAD)
+    return measure_gap(one.linear, one.whitened, naming, NOISE, limit, SETTING_U_RAD, lambda *_: naming)
+
+
+@pytest.fixture(scope="module")
+def null():
+    return set_up(paper_run(np.random.default_rng(47)))
+
+
+def test_passes_are_held_out_where_an_effect_repeats_and_thirds_where_it_is_of_one(null):
+    passes, thirds = ([label for label, _ in of(null.linear)] for of in (folds_of, thirds_of))
+    assert [fold.label for fold in gap_of(null, "quadratic_nonlinearity").folds] == passes
+    once = gap_of(null, "head_zero_shift", ("1 pass 2",))
+    assert [fold.label for fold in once.folds] == thirds
+    assert all(set(fold.gains) == {"head_zero_shift"} for fold in once.folds)
+
+
+def test_each_setting_is_in_one_third_and_each_angle_in_several(null):
+    held = np.array([rows for _, rows in thirds_of(null.linear)])
+    assert np.all(held.sum(axis=0) == 1)
+    angle = np.round(np.degrees(null.linear.readings.angle_rad[null.linear.rows.reading]))
+    in_1 = null.linear.readings.installation[null.linear.rows.reading] == "1"
+    for degrees in (0.0, 45.0, 180.0):
+        assert np.all(held[:, in_1 & (angle == degrees)].any(axis=1))
+
+
 # --- the rule by which a gap shrinks, on folds made up: what it takes for a name alone ------------
 
 
@@ -112,9 +146,9 @@ def held_out(reduced, rms=20e-6):
     return HeldOut(error, error / 2.0, np.full(ROWS, 9e-6), reduced * ROWS)
 
 
-def fold(label, before, after, rms=(30e-6, 20e-6), blind="", name="bias_drift"):
+def fold(label, before, after, rms=(30e-6, 20e-6), name="bias_drift"):
     gains = {name: ROWS * (before - after)} if name else {}
-    return Fold(label, gains, held_out(before, rms[0]), held_out(after, rms[1]), blind)
+    return Fold(label, gains, held_out(before, rms[0]), held_out(after, rms[1]))
 
 
 def gap(*folds, named=("bias_drift",), undetermined=()):
@@ -153,7 +187,7 @@ def test_what_does_not_shrink_is_not_confirmed_and_says_so(folds):
 
 def test_of_two_names_the_one_that_gains_nothing_is_told():
     both = {"bias_drift": 100.0, "backlash": 1.0}
-    one = gap(Fold("pass 1", both, held_out(3.0, 30e-6), held_out(1.0), ""), named=("bias_drift", "backlash"))
+    one = gap(Fold("pass 1", both, held_out(3.0, 30e-6), held_out(1.0)), named=("bias_drift", "backlash"))
     assert one.shrinks is False
     assert one.unconfirmed == ("backlash",)
     assert "do not confirm backlash (" in one.reason
@@ -164,42 +198,23 @@ def test_a_small_gap_need_only_fall_by_more_than_chance():
     assert gap(fold("pass 1", 1.25, 1.15)).shrinks is True
 
 
-def test_a_fold_that_cannot_confirm_is_left_out_with_its_number_and_why():
-    one = gap(
-        fold("pass 1", 3.0, 1.0),
-        fold("pass 2", 1.0, 1.0, blind=NOT_THERE),
-        fold("verification and free positions", 9.0, 9.0, blind=BLIND),
-    )
-    assert [f.label for f in one.opened] == ["pass 1"]
-    assert one.before == pytest.approx(3.0)
-    told = {f["what"]: f for f in gap_part(one).to_dict()["held_out"]}
-    assert told["verification and free positions"]["left_out"] == BLIND
-    assert told["verification and free positions"]["before"] == pytest.approx(9.0)
-    assert told["pass 2"]["left_out"] == NOT_THERE
-    assert told["pass 1"]["left_out"] is None
-
-
-def test_a_fold_that_is_made_worse_counts_whether_or_not_it_could_confirm():
+def test_a_fold_that_is_made_worse_counts():
     """Passes close, and the verification points go from 9 to 103: no name alone."""
-    worse = fold("verification and free positions", 8.9, 103.0, blind=BLIND)
-    one = gap(fold("pass 1", 3.95, 1.2), worse)
-    assert worse in one.opened
+    one = gap(fold("pass 1", 3.95, 1.2), fold("verification and free positions", 8.9, 103.0))
     assert one.shrinks is False
-    # where what was found has a value of its own, nothing was predicted
-    other = fold("verification and free positions", 8.9, 103.0, blind=OWN_VALUE)
-    assert gap(fold("pass 1", 3.95, 1.2), other).shrinks is True
+    told = [(f["what"], f["counted"], f["left_out"]) for f in gap_part(one).to_dict()["held_out"]]
+    assert told == [("pass 1", True, None), ("verification and free positions", True, None)]
 
 
-def test_where_no_fold_measures_it_the_gap_is_none_and_says_why():
-    one = gap(fold("pass 1", 1.2, 1.2, blind=BLIND), fold("pass 2", 1.2, 1.2, blind=BLIND))
+def test_where_nothing_can_be_held_out_the_gap_is_none_and_says_why():
+    assert gap().reason == "nothing can be held out: one pass, and no verification or free position"
+    one = gap(undetermined=("pass 1",))
     told = gap_part(one).to_dict()
     assert one.shrinks is None
     assert (told["before"], told["after"], told["closed"], told["before_rms_ug"]) == (None,) * 4
-    assert told["reason"] == f"nothing held out can measure the gap (pass 1, pass 2: {BLIND})"
-    assert gap().reason == "nothing can be held out: one pass, and no verification or free position"
-    alone = gap_part(gap(undetermined=("pass 1",))).to_dict()
-    assert "without pass 1 the rest does not determine the coefficients" in alone["reason"]
-    assert alone["held_out"][0]["before"] is None
+    assert "without pass 1 the rest does not determine the coefficients" in told["reason"]
+    assert told["held_out"][0]["before"] is None
+    assert not told["held_out"][0]["confirmable"]
 
 
 def test_with_nothing_found_there_is_nothing_to_confirm():

@@ -11,7 +11,7 @@ from markupsafe import escape
 from bench.base.arrays import ARCSEC
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
-from bench.diagnosis import NamedEffect, Threshold, ThresholdCache, diagnose
+from bench.diagnosis import NamedEffect, diagnose
 from bench.diagnosis.candidates import Candidates, Column, Variant
 from bench.diagnosis.next_measurement import propose
 from bench.diagnosis.posterior import known_together
@@ -19,7 +19,7 @@ from bench.diagnosis.show import CoefficientChange, contradicted
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.csv import write_csv
 from bench.results.diagnosis_words import less_certain, p_in_column, p_in_words, parameters_in_words
-from tests.support.diagnosis_bench import MODEL, STAND, paper_run
+from tests.support.diagnosis_bench import MODEL, STAND, OneThreshold, paper_run
 
 K2_STATED = """\
 model_file: 1
@@ -27,13 +27,6 @@ name: stated
 effects:
   - {name: quadratic_nonlinearity, channels: [y], parameters: {K2: {value: 100 ug/g^2, u: 8 ug/g^2}}}
 """
-
-
-class Fixed(ThresholdCache):
-    """A threshold that nobody simulated, about that of the paper's design: a test needs no exact one."""
-
-    def threshold(self, linear, whitened, setting_rad):
-        return Threshold(2.0, 0.006, 0.5, 0.05, 1.0, 2000)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -99,7 +92,7 @@ def test_probabilities_far_out_are_not_told_to_the_last_power():
 
 
 def diagnosed(readings, model=MODEL):
-    return diagnose(readings, model, STAND, None, Fixed(None))
+    return diagnose(readings, model, STAND, None, OneThreshold())
 
 
 @pytest.mark.slow

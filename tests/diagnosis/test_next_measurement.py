@@ -16,7 +16,7 @@ from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.diagnosis import Threshold, ThresholdCache, diagnose
 from bench.diagnosis.linear import make_linear
-from bench.diagnosis.next_measurement import MENU, following, planned_readings, propose
+from bench.diagnosis.next_measurement import MENU, answers, following, planned_readings, propose
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.visibility import EffectPart, ReadingDesign, forms_everywhere
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
@@ -248,6 +248,11 @@ def test_a_tie_is_settled_by_the_shortest_procedure_that_settles_it(drifting):
     assert proposal.minutes == pytest.approx(plan_of("inputs").expected_duration_s() / 60.0)
     assert "'inputs'" in proposal.why
     assert not proposal.left_out
+    assert proposal.surer.hours == pytest.approx(proposal.minutes / 60.0)
+    assert proposal.surer.answers > 0.9
+    assert len(proposal.chances) == len(MENU)
+    # what leaves the one an alias of the other answers nothing, whatever the odds
+    assert next(one for one in proposal.chances if one.procedure == "verification").answers < 0.5
 
 
 def test_a_tie_with_what_has_no_name_is_nothing_that_a_procedure_settles(drifting):
@@ -315,6 +320,19 @@ def test_a_proposal_is_a_procedure_and_never_written_over_another_file(drifting,
     as_json = ProposalPart.model_validate(written).to_dict()
     assert as_json["procedure"] == str(second)
     assert as_json["settles"][0]["after"] > 8.0
+
+
+def test_the_chance_of_an_answer_is_that_of_normal_log_odds():
+    """Against draws of ln of the odds: 70 to 30, and a D of 3 more; nothing more leaves them as they are."""
+    odds, d, rng = {"a": 0.7, "b": 0.3}, 3.0, np.random.default_rng(4)
+    now = np.log(0.7 / 0.3)
+    true = np.where(rng.random(400_000) < 0.7, 1.0, -1.0)
+    after = now + rng.normal(true * d, np.sqrt(2 * d))
+    assert answers(odds, {"b": d}, "a") == pytest.approx(np.mean(np.abs(after) >= np.log(19)), abs=0.004)
+    assert answers(odds, {"b": 0.0}, "a") == 0.0
+    assert answers({"a": 0.99, "b": 0.01}, {"b": -math.inf}, "a") == 0.0
+    assert answers(odds, {"b": 60.0}, "a") == pytest.approx(1.0, abs=1e-6)
+    assert answers({**odds, "c": 0.3}, {"b": 60.0, "c": 0.0}, "a") < 0.5
 
 
 # --- following --------------------------------------------------------------------------------------

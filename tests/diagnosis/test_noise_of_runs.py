@@ -6,24 +6,17 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from bench.diagnosis import Threshold, ThresholdCache, diagnose
+from bench.diagnosis import diagnose
 from bench.diagnosis.linear import RunSizes
 from bench.diagnosis.multi_run_system import make_system
 from bench.diagnosis.noise_grid import p_alike, with_sizes_of_runs
-from bench.diagnosis.noise_kinds import WeighedDown, noise_findings
+from bench.diagnosis.noise_kinds import noise_findings
 from bench.diagnosis.posterior import NoiseSize, posterior
 from bench.diagnosis.single_run_search import in_the_noise_of
 from bench.readings.table import JoinedPart, together
-from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, STAND_U, K, paper_run
+from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, STAND_U, K, OneThreshold, paper_run
 
 SEED = 301
-
-
-class OneThreshold(ThresholdCache):
-    """A threshold that nobody simulated, about that of two runs of the paper's design."""
-
-    def threshold(self, linear, whitened, setting_rad):
-        return Threshold(2.5, 0.006, 1.0, 0.05, 1.0, 2000)
 
 
 def runs(*sizes, seed=SEED, blocks=False, **what):
@@ -103,7 +96,7 @@ def test_the_estimate_is_that_of_least_squares_weighted_by_the_noise_of_each_run
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [SEED, SEED + 1])
 def test_two_runs_in_which_nothing_is_missing_agree(seed):
-    found = diagnose(runs(1, 3, seed=seed), MODEL, STAND, np.diag(K), OneThreshold(None))
+    found = diagnose(runs(1, 3, seed=seed), MODEL, STAND, np.diag(K), OneThreshold())
     assert found.verdict == "agrees"
     (kind,) = found.noise_kinds
     assert kind.what == "runs"
@@ -115,12 +108,12 @@ def test_what_both_have_is_found_as_well_as_the_better_run_shows_it():
     """Backlash of 20 arcsec, its u less than that of two runs with three times the noise."""
     arcsec = np.radians(1 / 3600)
     tables = runs(1, 3, backlash_rad=20 * arcsec, directions=(1, -1, 1))
-    found = diagnose(tables, MODEL, STAND, np.diag(K), OneThreshold(None))
+    found = diagnose(tables, MODEL, STAND, np.diag(K), OneThreshold())
     assert [effect.name for effect in found.effects] == ["backlash"]
     (value,) = found.effects[0].parameters
     assert abs(value.value - 20.0) < 4 * value.u
     as_noisy = runs(3, 3, backlash_rad=20 * arcsec, directions=(1, -1, 1))
-    noisier = diagnose(as_noisy, MODEL, STAND, np.diag(K), OneThreshold(None))
+    noisier = diagnose(as_noisy, MODEL, STAND, np.diag(K), OneThreshold())
     assert value.u < 0.85 * noisier.effects[0].parameters[0].u
 
 
@@ -129,7 +122,7 @@ def test_runs_that_are_rounded_share_the_error_of_rounding_as_one_run_does():
     """To 90 uV, six times the noise: readings of a setting are rounded alike, and what they share is no effect."""
     tables = runs(1, 1)
     rounded = replace(tables, signal=np.round(tables.signal / 90e-6) * 90e-6)
-    found = diagnose(rounded, MODEL, STAND, np.diag(K), OneThreshold(None))
+    found = diagnose(rounded, MODEL, STAND, np.diag(K), OneThreshold())
     assert found.verdict == "agrees"
     assert found.whitened.grid.known
     assert found.linear.of_noise == 2 * 2 * 9 * 3  # runs, installations, angles, channels
@@ -141,13 +134,15 @@ def test_a_model_is_held_against_readings_in_the_noise_that_was_found_in_them():
     shared = np.zeros((len(system), 2))
     shared[::2, 0] = shared[1::2, 1] = NOISE_V
     sizes = RunSizes(np.array([1.0, 3.0]) / np.sqrt(5.0), np.array([40.0, 40.0]))
-    looked = replace(system.with_noise(shared), by_channel=np.array([0.5, 1.0, 1.32]), by_run=sizes)
-    pull = np.where(np.arange(len(system)) == 7, -50e-6, 0.0)
-    taken = in_the_noise_of(looked, WeighedDown(pull, 1, 3.0), system)
+    tails = np.where(np.arange(len(system)) == 7, 5.0, 1.0)
+    looked = replace(
+        system.with_noise(shared), by_channel=np.array([0.5, 1.0, 1.32]), by_run=sizes, by_row=tails
+    )
+    taken = in_the_noise_of(looked, system)
     np.testing.assert_allclose(taken.relative, looked.relative)
     np.testing.assert_allclose(taken.random[:, -2:], shared)
-    np.testing.assert_allclose(taken.response - system.response, pull)
-    assert np.array_equal(in_the_noise_of(system, None, system).random, system.random)
+    np.testing.assert_array_equal(taken.response, system.response)
+    assert np.array_equal(in_the_noise_of(system, system).random, system.random)
 
 
 def test_noise_that_is_larger_than_stated_is_a_finding_of_its_run():

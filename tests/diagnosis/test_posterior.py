@@ -203,3 +203,18 @@ def test_a_voltmeter_that_is_not_linear_has_no_gain_that_could_be_told():
     cubic_v = abs(sized.amplitudes[0]) * ready.candidates.scale[bent.columns[0]]
     assert gain.effect.name == "voltmeter_gain"
     assert float(gain.u["gain"]) == pytest.approx(cubic_v / 2.5)
+
+
+def test_size_u_and_probability_of_an_effect_are_one_statement(ready):
+    """Of one number rho is |value|/u and p the two tails of a normal; of several their chi-square."""
+    naming = found(ready, ("quadratic_nonlinearity", 1), ("bias_drift", 2))
+    fitted = fit_found(ready.linear, ready.candidates, naming, NOISE)
+    (_, one), (_, two) = naming.parts()
+    u = np.sqrt(np.diag(fitted.amplitude_covariance))
+    rho, p = fitted.significance(one)
+    assert rho == pytest.approx(abs(fitted.amplitudes[0]) / u[0])
+    assert p == pytest.approx(special.erfc(rho / np.sqrt(2)))
+    rho, p = fitted.significance(two)
+    covariance = fitted.amplitude_covariance[two, two]
+    square = fitted.amplitudes[two] @ np.linalg.solve(covariance, fitted.amplitudes[two])
+    assert (rho, p) == (pytest.approx(np.sqrt(square)), pytest.approx(np.exp(-square / 2)))

@@ -1,7 +1,9 @@
 """The reference pages are made from the code: each thing of the program stands on its page, in links that hold."""
 
+import importlib
 import re
 
+import numpy as np
 import pytest
 
 from bench.calibration import ESTIMATORS
@@ -97,6 +99,19 @@ def test_pages_are_written_and_stale_ones_go(tmp_path):
     before = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
     write_pages(tmp_path)
     assert before == {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+
+
+def test_the_constants_of_the_method_are_those_of_the_code():
+    text = (DOCS / "diagnosis-method.md").read_text(encoding="utf-8")
+    for module, name in re.findall(r"`([a-z_.]+)\.([A-Z_\d]+)`", text):
+        assert hasattr(importlib.import_module(f"bench.diagnosis.{module}"), name), f"{module}.{name}"
+    rows = re.findall(r"^\| `([a-z_.]+)\.([A-Z_\d]+)` \| (ln of )?([\d., ]+) \|", text, flags=re.M)
+    assert len(rows) >= 10
+    for module, name, logarithm, shown in rows:
+        value = getattr(importlib.import_module(f"bench.diagnosis.{module}"), name)
+        numbers = np.array([float(number) for number in shown.split(",")])
+        expected = np.atleast_1d(list(value.values()) if isinstance(value, dict) else value)
+        assert (np.log(numbers) if logarithm else numbers) == pytest.approx(expected), f"{module}.{name}"
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md"])

@@ -81,7 +81,10 @@ def test_verification_and_diagnosis_are_those_of_the_commands(bench, readings):
     assert "limit 200 µg, rule: guarded" in repr(verdict)
     found = program.diagnose(readings)
     _, out, _ = bench("diagnose", "r.csv", "--json", "-", "--no-report")
-    assert json.loads(json.dumps(found.to_dict())) == json.loads(out)
+    told, printed = json.loads(json.dumps(found.to_dict())), json.loads(out)
+    for one in (told, printed):  # the command has written the procedure that it proposes
+        del (one["next_measurement"] or {"procedure": ""})["procedure"]
+    assert told == printed
     assert found.verdict == found.to_dict()["verdict"]
     assert "\nr.csv: " in repr(found)
 

@@ -180,7 +180,8 @@ class AppliedEffect:
     `values` are SI: shape (3,) for a per-channel parameter, () else; a size left out is zero, a shape its
     default. `u` are their standard uncertainties where they are known. `installations` are the mountings
     that have the effect, as `str(Mount)`: "2", in series 3 "2/3", or single passes of them: "2 pass 1"
-    (`pass_label`); none named is all of them.
+    (`pass_label`); none named is all of them. `either_of` are the names of which nobody could say which it is,
+    its own among them; empty where its name stands alone.
     """
 
     effect: Effect
@@ -188,6 +189,7 @@ class AppliedEffect:
     channels: tuple[str, ...] = CHANNELS
     u: Values = field(default_factory=dict)
     installations: tuple[str, ...] = ()
+    either_of: tuple[str, ...] = ()
 
     def complete_values(self) -> dict[str, Floats]:
         """Return the values of all parameters, zeros and default shapes filled in."""

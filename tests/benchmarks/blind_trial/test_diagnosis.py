@@ -1,6 +1,6 @@
 """The blind trial in short: the application against readings made by other code, answers apart.
 
-`make blind-trial` is the whole of it; its table stands in docs/diagnosis.md, with how often each of these is
+`make blind-trial` is the whole of it; its table stands in docs/diagnosis-trial.md, with how often each of these is
 right. The seed fixes the cases.
 """
 

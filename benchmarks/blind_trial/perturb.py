@@ -1,0 +1,131 @@
+"""What each numeric constant of the diagnosis is worth: the same cases with it 30 % smaller and larger.
+
+    python -m benchmarks.blind_trial --perturb --only single --rows 4
+
+A constant that changes nothing is listed, too: it can go, or its cases are missing.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import pkgutil
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import bench.diagnosis
+from benchmarks.blind_trial.adapter import diagnose_case, forget_thresholds
+from benchmarks.blind_trial.cases import make_case
+from benchmarks.blind_trial.score import Task
+from benchmarks.campaign import spread
+
+PART: Final = 0.3
+ROOM: Final = "bench.diagnosis"
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A numeric constant of a module, a number or a tuple of numbers."""
+
+    module: str
+    name: str
+    value: Any
+
+    def times(self, factor: float) -> Any:
+        """Return the value times a factor; whole numbers stay whole and change by one at least."""
+        if isinstance(self.value, tuple):
+            return tuple(_times(one, factor) for one in self.value)
+        return _times(self.value, factor)
+
+
+def _times(value: float, factor: float) -> float:
+    if not isinstance(value, int):
+        return value * factor
+    changed = round(value * factor)
+    return changed if changed != value else value + (1 if factor > 1 else -1)
+
+
+def constants() -> list[Constant]:
+    """Return the numeric constants of all modules of the diagnosis, each where it is defined."""
+    found = []
+    for info in pkgutil.walk_packages(bench.diagnosis.__path__, f"{ROOM}."):
+        module = importlib.import_module(info.name)
+        tree = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8"))
+        for node in tree.body:
+            if (
+                isinstance(node, ast.AnnAssign)
+                and isinstance(node.target, ast.Name)
+                and node.target.id.isupper()
+            ):
+                value = getattr(module, node.target.id)
+                if _numeric(value):
+                    found.append(Constant(info.name, node.target.id, value))
+    return found
+
+
+def _numeric(value: object) -> bool:
+    if isinstance(value, tuple):
+        return bool(value) and all(_numeric(one) for one in value)
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+@contextmanager
+def changed(constant: Constant, factor: float) -> Iterator[None]:
+    """Use another value wherever the constant is known by its name, while this lasts."""
+    places = [
+        module
+        for name, module in list(sys.modules.items())
+        if name.startswith(ROOM) and getattr(module, constant.name, None) is constant.value
+    ]
+    for module in places:
+        setattr(module, constant.name, constant.times(factor))
+    forget_thresholds()
+    try:
+        yield
+    finally:
+        for module in places:
+            setattr(module, constant.name, constant.value)
+        forget_thresholds()
+
+
+def _said(tasks: Sequence[Task]) -> list[tuple[object, ...]]:
+    said: list[tuple[object, ...]] = []
+    for task in tasks:
+        found = diagnose_case(make_case(task.seed, task.row, task.index)[0])
+        names = tuple((one["name"], tuple(one["cannot_tell_from"])) for one in found["effects"])
+        said.append((found["verdict"], names))
+    return said
+
+
+def _of_constant(constant: Constant | None, tasks: Sequence[Task]) -> list[list[tuple[object, ...]]]:
+    if constant is None:
+        return [_said(tasks)]
+    said = []
+    for factor in (1.0 - PART, 1.0 + PART):
+        with changed(constant, factor):
+            said.append(_said(tasks))
+    return said
+
+
+def perturb(tasks: Sequence[Task], workers: int) -> list[str]:
+    """Return a table: how many verdicts, and how many verdicts or names, differ with each constant changed."""
+    every = constants()
+    baseline, *others = spread(partial(_of_constant, tasks=tasks), [None, *every], workers)
+    lines = [
+        f"{len(every)} constants, {len(tasks)} cases; verdicts / verdicts or names that differ",
+        "| constant | value | 30 % smaller | 30 % larger |",
+        "|---|---|---|---|",
+    ]
+    for constant, both in zip(every, others, strict=True):
+        cells = []
+        for said in both:
+            pairs = list(zip(said, baseline[0], strict=True))
+            cells.append(f"{sum(a[0] != b[0] for a, b in pairs)} / {sum(a != b for a, b in pairs)}")
+        place = constant.module.removeprefix(f"{ROOM}.")
+        lines.append(f"| {place}.{constant.name} | {constant.value} | {' | '.join(cells)} |")
+    return lines

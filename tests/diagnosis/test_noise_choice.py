@@ -1,0 +1,124 @@
+"""The noise is chosen by its evidence: slow, tailed or by channel where it is so, and normal where it is normal."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.diagnosis.evidence import null_responses
+from bench.diagnosis.noise_grid import RATIOS
+from bench.diagnosis.noise_kinds import noise_hypotheses, slow_noise
+from bench.diagnosis.posterior import NoiseSize
+from bench.diagnosis.single_run_search import search_run
+from tests.support.diagnosis_bench import MODEL, NOISE_V, OneThreshold, paper_run, set_up
+from tests.support.paper_bench import SETTING_U_RAD, STAND_U
+
+RATIO = 2
+UNEQUAL = np.array([0.4, 0.4, 1.63])
+"""Sizes of the noise of channels, 1 on the average of squares."""
+
+
+@pytest.fixture(scope="module")
+def made():
+    return set_up(paper_run(np.random.default_rng(1)))
+
+
+def wandering(rng, n):
+    """1/f noise (n, 3) of root mean square 1, from a course eight times as long."""
+    frequency = np.fft.rfftfreq(8 * n)
+    part = np.append(0.0, frequency[1:] ** -0.5)[:, None]
+    phase = np.exp(2j * np.pi * rng.random((len(frequency), 3)))
+    course = np.fft.irfft(part * phase * rng.rayleigh(size=phase.shape), 8 * n, axis=0)[:n]
+    course -= course.mean(axis=0)
+    return course / np.sqrt(np.mean(course**2, axis=0))
+
+
+def drawn(made, count, seed, size):
+    """What is found in so many draws of noise with slow noise of this size in it, in units of a reading's."""
+    linear = made.linear
+    rng = np.random.default_rng(seed)
+    white = null_responses(linear, NOISE_V, np.full(count, RATIOS[RATIO]), rng)
+    noise = NoiseSize(NOISE_V, RATIOS[RATIO] / linear.typical_slope * NOISE_V, 150)
+    channel = np.minimum(linear.rows.channel, 2)
+    for response in white.T:
+        slow = size * NOISE_V * wandering(rng, len(linear.readings))
+        added = np.where(linear.setting >= 0, slow[linear.rows.reading, channel], 0.0)
+        yield slow_noise(replace(linear, response=response + added), np.zeros((len(linear), 0)), noise)
+
+
+def test_slow_noise_is_found_at_its_size(made):
+    """30 draws of twice the noise of a reading in each channel (seed 3)."""
+    found = [one for each in drawn(made, 30, 3, 2.0) for one in each]
+    assert len(found) >= 30  # of 90
+    assert {one.channel for one in found} == {0, 1, 2}
+    assert 1.2 < np.median([one.size for one in found]) / NOISE_V < 2.8
+
+
+def test_white_noise_is_seldom_slow(made):
+    """60 draws (seed 4), three channels: 200 others gave 4 of 600; at 2 %, 10 of 180 come once in 200 times."""
+    assert sum(len(each) for each in drawn(made, 60, 4, 0.0)) < 10
+
+
+def test_what_is_random_holds_slow_noise(made):
+    (slow, *_) = next(each for each in drawn(made, 20, 5, 3.0) if each)
+    own = (made.linear.setting >= 0) & (made.linear.rows.channel == slow.channel)
+    assert not np.any(slow.columns[~own])
+    np.testing.assert_allclose(np.sqrt(np.mean(np.sum(slow.columns[own] ** 2, axis=1))), slow.size)
+
+
+# --- the choice, by whole searches --------------------------------------------------------------------
+
+
+def chosen(readings):
+    prepared, naming = search_run(readings, MODEL, STAND_U, SETTING_U_RAD, OneThreshold(), 0.0)
+    kinds = set(prepared.chosen)
+    return kinds, naming
+
+
+def noisy(seed, kind, **hidden):
+    """A run with normal noise of one size, or of another kind."""
+    rng = np.random.default_rng([77, seed])
+    readings = paper_run(rng, noise_v=0.0, **hidden)
+    n = len(readings)
+    noise = {
+        "normal": lambda: rng.normal(size=(n, 3)),
+        "tails": lambda: rng.standard_t(3, (n, 3)),
+        "channels": lambda: rng.normal(size=(n, 3)) * UNEQUAL,
+        "slow": lambda: rng.normal(size=(n, 3)) + 3.0 * wandering(rng, n),
+    }[kind]()
+    return replace(readings, signal=readings.signal + NOISE_V * noise)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["tails", "channels", "slow"])
+def test_the_kind_of_noise_that_is_there_is_chosen_and_nothing_is_named(kind):
+    """Three runs: in two of them at least, and in none with an effect of the catalogue alone."""
+    found = [chosen(noisy(seed, kind)) for seed in range(3)]
+    assert sum(kind in kinds for kinds, _ in found) >= 2
+    assert not any(one.variant.named and not one.ties for _, naming in found for one in naming.found)
+
+
+@pytest.mark.slow
+def test_normal_noise_is_left_normal():
+    """Six runs, three kinds of prior odds 0.1: chance gives a Bayes factor of 10 in a tenth of them at most.
+
+    More than 4 of 18 then come in 3 of 100 times at most (binomial).
+    """
+    assert sum(len(chosen(noisy(seed, "normal"))[0]) for seed in range(6)) <= 4
+
+
+@pytest.mark.slow
+def test_an_effect_is_found_beside_noise_that_is_slow():
+    _, naming = chosen(noisy(1, "slow", K2=(0.0, 400e-6, 0.0)))
+    families = {name for one in naming.found for name in (one.variant.family, *one.ties)}
+    assert "quadratic_nonlinearity" in families
+
+
+def test_each_kind_of_noise_is_offered_once(made):
+    noise = NoiseSize(NOISE_V, SETTING_U_RAD, 150)
+    told = list(noise_hypotheses(made.linear, np.zeros((len(made.linear), 0)), noise))
+    assert len({one.what for one in told}) == len(told)
+    for one in told:
+        assert one.what in {"channels", "tails", "slow"}
+        again = [o.what for o in noise_hypotheses(one.linear, np.zeros((len(made.linear), 0)), noise)]
+        assert one.what == "channels" or one.what not in again
