@@ -1,4 +1,4 @@
-"""Commands that make safe: each has an attempt of its own, and what failed is told with what to do by hand."""
+"""Commands that make the bench safe: each is attempted separately; a failure is reported with its manual remedy."""
 
 from __future__ import annotations
 

@@ -301,9 +301,9 @@ def temperature_model(
 
     `stand_u` as for `calibrate`. Without `degree` each coefficient has its own: starting at the highest that
     the temperatures allow, the highest term is dropped as long as an F test finds it no larger than chance
-    (p > 0.05), and the doubt about what was dropped stays in the covariance. Raises `CalibrationError` when
-    a temperature is missing, there are fewer than two, they do not determine the polynomials, or the
-    reference lies outside them.
+    (p > 0.05), and the doubt about what was dropped stays in the covariance. Raises `CalibrationError` if a
+    temperature is missing, if there are fewer than two, if they do not determine the polynomials, or if the
+    reference is outside their range.
     """
     body = _body(tables, model, stand_u, reference_c)
     highest, by_side = _highest(body, degree)

@@ -78,8 +78,8 @@ class Values:
 class Condition:
     """A condition during the run: a quantity that lay between `low` and `high`, in `unit`.
 
-    `key` names its text in the certificate; `about` fills the blank in that text (the supply rail). `u` is its
-    standard uncertainty, None where only the range is known.
+    `key` names the text for it in the certificate; `about` fills the blank there (such as the supply rail). `u`
+    is the quantity's standard uncertainty, None if only the range is known.
     """
 
     key: str

@@ -33,8 +33,8 @@ COMMANDS: Final = {
     "import": "Make a run of a readings file that was measured elsewhere.",
     "catalogue": "Many run folders in a database: what was measured with what, a unit's history, when it is due.",
     "calibrate": "Coefficients with uncertainty from runs or readings files; exit status 1 where they do not fit.",
-    "coefficients": "What a computer takes: N = K⁻¹, misalignments; as JSON, CSV, C, Excel,"
-    " for Kalibr, PX4, ArduPilot.",
+    "coefficients": "Write N = K⁻¹ and misalignments for other software: JSON, CSV, C, Excel,"
+    " Kalibr, PX4, ArduPilot.",
     "certificate": "Certificates, on paper and for machines: issue, verify, amend, revoke, read.",
     "verify": "Δg at the verification points against the limit; exit status 1 unless all are accepted.",
     "report": "Write the report of a run: one HTML page.",

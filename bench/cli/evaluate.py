@@ -127,7 +127,7 @@ def report(request: Report, json: JsonOption = None, out: OutOption = None) -> i
 @app.command(epilog="Example: bench coefficients unit-17 --as c --as px4")
 @requested
 def coefficients(request: Coefficients, json: JsonOption = None, out: OutOption = None) -> int:
-    """What a computer takes: N = K⁻¹, misalignments; as JSON, CSV, C, Excel, for Kalibr, PX4, ArduPilot."""
+    """Write N = K⁻¹ and misalignments for other software: JSON, CSV, C, Excel, Kalibr, PX4, ArduPilot."""
     from bench.exchange.forms import print_coefficients
     from bench.services.coefficients import forms_of, nominal_of
     from bench.services.compensation import results_of

@@ -415,7 +415,7 @@ def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
 
 
 def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
-    """Return simulated responses (N, sets) in which nothing is missing, with noise `ratios` (sets,)."""
+    """Return responses (N, sets) simulated with no effect missing from the model; noise `ratios` (sets,)."""
     sets = len(ratios)
     setting = rng.standard_normal((linear.settings, sets)) * ratios / linear.typical_slope
     response = rng.standard_normal((len(linear), sets)) * _row_sizes(linear, sets, rng)

@@ -274,7 +274,7 @@ def _waves(linear: LinearSystem, channel: int) -> Floats | None:
 
 @dataclass(frozen=True)
 class NoiseKind:
-    """What the noise is: unequal "channels" or "runs", with heavy "tails", "slow", of a coarse "resolution"."""
+    """How the noise departs from normal; `what` is "channels", "runs", "tails", "slow" or "resolution"."""
 
     what: str
     words: str

@@ -116,9 +116,9 @@ def show(
 ) -> ModelComparison:
     """Simulate the bench of `readings` with the model and with the `added` effects.
 
-    `readings` are those with any mistake put right; `stand_u` as for `diagnose`. What was found in these
-    readings is estimated from them anew, without the u that they gave it; what it may have of other shapes,
-    `in_part`, has its prior. Raises `CalibrationError` where
+    `readings` are those with any mistake put right; `stand_u` as for `diagnose`. The `added` effects were found
+    in these readings, so they are estimated again without their earlier u; `in_part`, the possible parts of
+    other shapes, keep their prior. Raises `CalibrationError` where
     they do not determine the coefficients.
     """
     stand = {name: u for name, u in stand_u.items() if name != "setting_error"}

@@ -161,7 +161,7 @@ SURE: Final = 0.8
 
 @dataclass(frozen=True)
 class NoiseScale:
-    """The noise in units of what the bench file states: `chi2` of `dof` signals beyond the unknowns."""
+    """Ratio of the noise to that stated in the bench file, from `chi2` with `dof` degrees of freedom."""
 
     chi2: float = 0.0
     dof: int = 0

@@ -225,7 +225,7 @@ def micro_g(value_g: float) -> str:
 
 
 def gap_in_words(gap: Gap) -> str:
-    """Return how far naming closes the gap on readings held out; empty where no held-out reading counts."""
+    """Return how far what was named closes the gap on held-out readings; empty if none was held out."""
     if not (gap.named and gap.folds):
         return ""
     told = closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)

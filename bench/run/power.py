@@ -392,7 +392,7 @@ def take_up(
     switch: Switch,
     another_visit: Callable[[Read], None],
 ) -> None:
-    """Bring the block to its state before the step `first`; if it was off meanwhile, another visit begins.
+    """Restore the block's power state for the step `first`; a new visit begins where it was off.
 
     The record shows whether it was off; else the supply's state does, or the person who works the supply.
     `another_visit` is called with the next reading of the visit that ends.

@@ -182,7 +182,7 @@ class SerialSettings:
     """Settings of a serial port; the defaults are a 34401A set to 9600 baud, no parity.
 
     `flow` "dtr_dsr" leaves DTR asserted, as the meter wants it; the pacing itself is the port's business.
-    `device_clear` is sent to a port after a lost reply, to stop the instrument from sending it still.
+    `device_clear` is sent after a lost reply, so that the instrument does not send that reply late.
     Source: 34401A User's Guide, chapter 4, RS-232 interface configuration.
     """
 

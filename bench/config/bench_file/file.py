@@ -150,7 +150,7 @@ class BenchFile(FileModel):
 
     @property
     def head_backoff_rad(self) -> float:
-        """Distance from which the head approaches an angle, rad; 0 by hand."""
+        """Distance from which the head approaches an angle, rad; 0 for a manual head."""
         head = self.instruments.head
         return head.backoff if isinstance(head, MotorisedHeadForm) else 0.0
 

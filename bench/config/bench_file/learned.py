@@ -165,7 +165,7 @@ class LearnedFile(WithEffects):
         return any((head and run.head == head) or run.readings in readings for run in self.runs)
 
     def expired(self, day: datetime.date) -> bool:
-        """Whether readings of a day come too late for it."""
+        """Whether the file has expired for readings of a day."""
         return day > self.expires
 
 

@@ -81,10 +81,11 @@ class Scope:
 
 @dataclass(frozen=True)
 class Reinterpretation:
-    """A supposition. What is left at its default stays as recorded.
+    """A supposed mistake in the record. A field left at its default keeps what was recorded.
 
-    `label` (n,) are the true installations, `angle_rad` (n,) the true angles; `source` (n,) names for each row
-    that whose signals belong to it, -1 for none; `turns` are what the block was turned by, by installation.
+    `label` (n,) are the true installations, `angle_rad` (n,) the true angles; `source` (n,) gives for each row
+    the index of the row that holds its signals, -1 for none; `turns` are the rotations of the block in each
+    installation.
     """
 
     name: str

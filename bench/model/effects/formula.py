@@ -150,7 +150,7 @@ def known_functions() -> tuple[str, ...]:
 
 @lru_cache(maxsize=2048)
 def names_in(text: str) -> tuple[str, ...]:
-    """Return the names of variables and parameters in the order in which they first stand."""
+    """Return the names of variables and parameters in order of first appearance in the text."""
     tree = parse(text)
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
     found = [node for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called]
