@@ -21,7 +21,7 @@ from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, rms
 from bench.base.numbers import quantity
 from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.linear import LinearSystem, RunSizes
-from bench.diagnosis.mistakes.single_readings import odds_of_tails
+from bench.diagnosis.mistakes.single_readings import HEAVY_DOF, odds_of_tails
 from bench.diagnosis.noise_grid import (
     NoiseGrid,
     Whitener,
@@ -36,7 +36,7 @@ from bench.stats.repeats_likelihood import believed_sizes
 
 LOG_PRIOR: Final = {"channels": math.log(0.1), "tails": math.log(0.1), "slow": math.log(0.1)}
 """ln of the prior odds of each kind of noise against noise that is normal and of one size."""
-TAIL_DOF: Final = 4.0
+TAIL_DOF: Final = HEAVY_DOF
 """Degrees of freedom of the t distribution that stands for heavy tails."""
 ROUNDS: Final = 8
 """Rounds of the fit with heavy tails; the bound is at rest by then."""

@@ -58,9 +58,8 @@ class TimeCourse:
 
     `constants` are shapes with one value; `of_temperature` where it is in kelvin; `long` where it may be of the
     scale factor, too, `local` where it is of the bias or the head alone: of one angle, or from one reading on;
-    `once` where it happens at one time, so that no other pass tells of it; `fast` where it is of the bias or the
-    head alone, `of_angle` where it is a function of the head's angle. `where` says at
-    which angle, time, pass or mounting it acts.
+    `fast` where it is of the bias or the head alone, `of_angle` where it is a function of the head's angle. `where`
+    says at which angle, time, pass or mounting it acts.
     """
 
     words: str
@@ -69,7 +68,6 @@ class TimeCourse:
     of_temperature: bool = False
     long: bool = False
     local: bool = False
-    once: bool = False
     fast: bool = False
     of_angle: bool = False
     where: str = ""
@@ -88,7 +86,6 @@ class DictionaryTerm:
     unit: TermUnit
     adds_to: str = ""
     constants: tuple[Parameter, ...] = ()
-    once: bool = False
     course: tuple[str, ...] = ()
     of_force: bool = False
     where: str = ""
@@ -189,7 +186,6 @@ def _terms(linear: LinearSystem) -> Iterator[DictionaryTerm]:
             unit,
             "",
             known,
-            course.once,
             course.expressions,
             where=course.where,
         )
@@ -204,7 +200,6 @@ def _terms(linear: LinearSystem) -> Iterator[DictionaryTerm]:
                 unit,
                 "",
                 known,
-                course.once,
                 course.expressions,
                 of_force=True,
                 where=course.where,
@@ -212,14 +207,10 @@ def _terms(linear: LinearSystem) -> Iterator[DictionaryTerm]:
         unit = ANGLE_PER_K if course.of_temperature else ANGLE
         words = f"{course.words}, in the head's angle"
         texts = course.expressions
-        yield DictionaryTerm(
-            words, Stage.HEAD_ANGLE, texts, unit, "", known, course.once, texts, where=course.where
-        )
+        yield DictionaryTerm(words, Stage.HEAD_ANGLE, texts, unit, "", known, texts, where=course.where)
         for angle, what in _stand_angles(course):
             words = f"{course.words}, in {what}"
-            yield DictionaryTerm(
-                words, Stage.STAND, texts, unit, angle, known, course.once, texts, where=course.where
-            )
+            yield DictionaryTerm(words, Stage.STAND, texts, unit, angle, known, texts, where=course.where)
     for words, expressions in FORCES.items():
         for text in expressions:
             yield DictionaryTerm(words, Stage.BLOCK_OUTPUT, (text,), SQUARE)
@@ -257,9 +248,7 @@ def _of_voltmeters(courses: Sequence[TimeCourse]) -> Iterator[DictionaryTerm]:
             unit = VOLTS_PER_K if course.of_temperature else VOLTS
             words = f"{course.words}, in the voltage"
             texts = course.expressions
-            yield DictionaryTerm(
-                words, stage, texts, unit, "", course.constants, course.once, texts, where=course.where
-            )
+            yield DictionaryTerm(words, stage, texts, unit, "", course.constants, texts, where=course.where)
     for text in ("abs(U)", "abs(Ux)", "abs(Uy)", "abs(Uz)"):
         yield DictionaryTerm("the size of a voltage", stage, (text,), GAIN)
     yield DictionaryTerm("a power of the voltage", stage, ("U**2",), VOLTS_PER_V2)
@@ -368,7 +357,6 @@ def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
             ("(time > t)",),
             when,
             local=True,
-            once=True,
             where=f"from {at / MINUTE:.0f} min on",
         )
 
@@ -396,12 +384,11 @@ def _of_passes(conditions: Conditions) -> Iterator[TimeCourse]:
         yield TimeCourse("one mounting", (_in_visit(visit),), long=True, where=f"mounting {visit}")
     for number in passes if len(passes) > 1 else ():
         alone = f"(pass_number > {number - 0.5:g}) * (pass_number < {number + 0.5:g})"
-        yield TimeCourse("one pass", (alone,), long=True, once=True, where=f"pass {number}")
+        yield TimeCourse("one pass", (alone,), long=True, where=f"pass {number}")
         for visit in range(1, count + 1) if count > 1 else range(0):
             yield TimeCourse(
                 "one pass of one mounting",
                 (f"{alone} * {_in_visit(visit)}",),
                 long=True,
-                once=True,
                 where=f"pass {number} of mounting {visit}",
             )

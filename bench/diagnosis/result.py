@@ -109,7 +109,6 @@ Verdict = Literal["agrees", "mistake", "named", "confounded", "unknown"]
 
 UNNAMED_WORDS: Mapping[str, str] = {
     "free_by_angle": "something that depends on the angle of the head, the same in every pass",
-    "free_head_angle": "an error of the head's angle, the same in every pass and installation",
     "free_by_pass": "something that differs from pass to pass",
     "slow_in_time": "something that changes slowly with time",
     "step": "a step of the signal",

@@ -14,6 +14,7 @@ from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.diagnosis.noise_grid import NoiseGrid, make_whitener
+from bench.diagnosis.noise_kinds import TAIL_DOF
 from bench.diagnosis.posterior import NoiseSize
 from bench.model.effects import AppliedEffect
 from bench.model.effects.voltmeter import LOW_RANGE_V
@@ -193,8 +194,6 @@ def _over_run(linear: LinearSystem, own: Mask, channel: str) -> Iterator[_Look]:
 
 FAR: Final = 6.0
 """A reading so many u from what the final model says is in the headline."""
-TAIL_DOF: Final = 4.0
-"""Degrees of freedom of heavy-tailed noise, as the search has them."""
 
 
 @dataclass(frozen=True)

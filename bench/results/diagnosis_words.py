@@ -17,7 +17,7 @@ from bench.diagnosis.free_records import FreeDiagnosis
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Proposal
-from bench.diagnosis.pipeline import FullDiagnosis, Rival
+from bench.diagnosis.pipeline import LISTED_FAR, FullDiagnosis, Rival
 from bench.diagnosis.residual_model import FormTerm, FreeForm, UnexplainedScatter
 from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect
 from bench.diagnosis.show import CoefficientChange, ModelComparison, label
@@ -250,7 +250,6 @@ def surer_in_words(proposal: Proposal | None) -> str:
 
 NOISY: Final = 4.0
 """A channel so many times as noisy as the others is in the headline."""
-LISTED_FAR: Final = 4
 
 
 def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
