@@ -224,7 +224,7 @@ def name(
             found = needed(
                 whitened, data, _re_examine(whitened, data, found, threshold, among, kept), threshold, kept
             )
-            if found == begun:
+            if found == list(begun):
                 break
     scored = Scored.beside(whitened, data, _columns(found))
     found_tied = tuple(
