@@ -159,7 +159,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         page=(False, "write docs/blind-trial.json and docs/diagnosis-trial.md"),
         keep=(Path, "keep diagnoses here; called again, go on where it stopped"),
         ledger=(Path, "append the seals of the cases here"),
-        perturb=(False, "what changes with each constant of the diagnosis 30 % smaller and larger"),
+        perturb=(False, "what changes with each constant of the diagnosis 30 %% smaller and larger"),
     )  # fmt: skip
     if not 0.0 < given.share <= 1.0:
         refuse("--share is a part of the cases, above 0 and at most 1")
