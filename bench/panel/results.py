@@ -39,12 +39,19 @@ _STATES: Final = {
 }
 _MARKS: Final = {"passed": "✓", "failed": "✗"}
 
+MISFIT: Final = 0.01
+"""Significance level of the lack of fit."""
+NO_MISFIT: Final = "no lack of fit is shown at 1 %"
+
 Told = TypeVar("Told")
 
 
 @dataclass(frozen=True)
 class PointRow:
-    """Δg at a verification point in words, and whether the rule accepts it."""
+    """Δg at a verification point in words, and whether the rule accepts it.
+
+    `of_limit` and `u_of_limit` are Δg and its U as multiples of the limit.
+    """
 
     where: str
     delta: str
@@ -52,6 +59,8 @@ class PointRow:
     false_accept: str
     statement: str
     passed: bool
+    of_limit: float
+    u_of_limit: float
 
 
 @dataclass(frozen=True)
@@ -93,6 +102,7 @@ class CalibrationTold:
     hidden: tuple[str, ...]
     fit: str
     notes: tuple[str, ...]
+    fits: bool
 
 
 @dataclass(frozen=True)
@@ -149,7 +159,7 @@ def _in_words(probability: Any) -> str:
 def _verdict(told: Mapping[str, Any]) -> VerdictTold:
     limit = float(told["limit_g"])
     scale = scale_for(limit, "g")
-    points = [_point(one, scale.size, str(told.get("rule", ""))) for one in told["points"]]
+    points = [_point(one, scale.size, limit, str(told.get("rule", ""))) for one in told["points"]]
     worst = max(told["points"], key=lambda one: abs(float(one["delta_g"])))
     statement = _statement(told, str(told.get("rule", "")))
     state = _STATES.get(statement, "none")
@@ -170,7 +180,7 @@ def _verdict(told: Mapping[str, Any]) -> VerdictTold:
     )
 
 
-def _point(one: Mapping[str, Any], size: float, rule: str) -> PointRow:
+def _point(one: Mapping[str, Any], size: float, limit: float, rule: str) -> PointRow:
     expanded = _expanded(one) / size
     risk = one.get("p_false_accept")
     return PointRow(
@@ -181,6 +191,8 @@ def _point(one: Mapping[str, Any], size: float, rule: str) -> PointRow:
         false_accept=_in_words(risk),
         statement=_statement(one, rule),
         passed=bool(one["passed"]),
+        of_limit=float(one["delta_g"]) / limit,
+        u_of_limit=expanded * size / limit,
     )
 
 
@@ -222,16 +234,14 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
         )
     residual = told.get("residual") or {}
     p = residual.get("p")
-    fit = (
-        ""
-        if p is None
-        else ("no lack of fit is shown at 1 %" if float(p) >= 0.01 else "the model does not fit the readings")
-    )
+    fits = p is None or float(p) >= MISFIT
+    fit = "the model does not fit the readings" if not fits else "" if p is None else NO_MISFIT
     return CalibrationTold(
         tuple(rows),
         tuple(map(str, told.get("not_observable", ()))),
         fit,
         tuple(map(str, told.get("notes", ()))),
+        fits,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -18,8 +19,9 @@ from bench.model.geometry import Installation
 from bench.panel.mounting_drawing import mounting, turn
 from bench.panel.run_events import RunView
 from bench.readings.reading import Reading
-from bench.run.events import ENDED, Event, RunState
+from bench.run.events import ENDED, Event, RunState, Wish
 from bench.run.person import REASON, AskedPrompt
+from bench.run.resume import redo_from
 from bench.run.samples import OUTLIER_LEAST
 from bench.run.sentences import duration, in_words
 from bench.run.terminal import TimeLeft
@@ -95,13 +97,14 @@ def _label(told: Mapping[str, Any], default: str) -> str:
         case "turn":
             return f"It stands at {default}"
         case "wait":
-            return "Go on"
+            return "Continue"
         case "select_input":
             return "Done"
     return default.capitalize() if told["kind"] == PromptKind.CONFIRM else default
 
 
 LOG_LINES: Final = 14
+_SENTENCE: Final = re.compile(r";\s+|(?<=[a-z)0-9])\.\s+(?=[A-Z])")
 DRIFTS: Final = 0.01
 """Significance level: a drift with a smaller p-value is reported."""
 
@@ -154,6 +157,8 @@ def snapshot(
         "chamber": _chamber(seen) if about.chamber else None,
         "soak": _soak(seen, about),
         "warnings": [_warning(event) for event in reversed(seen.warnings)],
+        "alarm": alarm_of(seen, asked, alive=alive),
+        "redo": _redo_point(seen),
         "doubt": seen.progress.doubt is not None,
         "log": [_line(event, seen) for event in list(seen.last)[: -LOG_LINES - 1 : -1]],
     }
@@ -164,10 +169,12 @@ def _doing(seen: RunView, *, alive: bool) -> str:
     match seen.state:
         case RunState.FINISHED | RunState.ABORTED:
             return f"The run is {seen.state}."
-        case RunState.FAILED | RunState.INTERRUPTED:
-            return f"The run is {seen.state}, and can be gone on with."
+        case RunState.FAILED:
+            return "The run failed. It can be resumed."
+        case RunState.INTERRUPTED:
+            return "The run was interrupted. It can be resumed."
         case _ if not alive:
-            return "No program carries this run out: it ended without a word. It can be gone on with."
+            return "The program of this run ended unexpectedly. The run can be resumed."
         case RunState.PAUSED:
             return "Paused: nothing on the bench moves."
         case RunState.READY:
@@ -178,11 +185,72 @@ def _doing(seen: RunView, *, alive: bool) -> str:
     return text[:1].upper() + text[1:]
 
 
+def alarm_of(seen: RunView, asked: AskedPrompt | None, *, alive: bool) -> dict[str, str] | None:
+    """Return the alarm of a run: `cause` in one line, `action` to take, `details`; None where all is well.
+
+    `do` is "resume" where the action is to resume the run, else empty. A question that waits is no alarm; an early
+    warning that stopped the run before this question is one.
+    """
+    if seen.state is RunState.ABORTED or seen.state is RunState.FINISHED:
+        return None
+    if seen.state is RunState.FAILED or (seen.state is RunState.INTERRUPTED and seen.why):
+        cause, details = _first_sentence(seen.why or "The run failed.")
+        return _alarm(cause, "Remove the cause, then resume the run.", details, "resume")
+    if not alive and seen.state in {RunState.RUNNING, RunState.PAUSED, RunState.READY}:
+        return _alarm(
+            "The program of this run ended unexpectedly.", "Resume the run: no reading is lost.", "", "resume"
+        )
+    warning = seen.warnings[-1] if seen.warnings else None
+    if warning is None or asked is None or not warning.data.get("confident"):
+        return None
+    if seen.taken is not None and seen.taken[0].number > warning.number:
+        return None
+    told = _warning(warning)
+    cause, details = _first_sentence(told["words"])
+    causes = told["causes"]
+    action = (
+        f"Check for {causes[0]}, then answer."
+        if causes
+        else "Check the mounting and the wiring, then answer."
+    )
+    return _alarm(cause, action, " ".join([details, *(f"Or: {other}." for other in causes[1:])]).strip(), "")
+
+
+def _alarm(cause: str, action: str, details: str, do: str) -> dict[str, str]:
+    return {"cause": cause, "action": action, "details": details, "do": do}
+
+
+def _first_sentence(text: str) -> tuple[str, str]:
+    """Return a text in two: up to its first semicolon or end of a sentence, and the rest."""
+    found = _SENTENCE.search(text)
+    return (text, "") if found is None else (text[: found.start()] + ".", text[found.end() :])
+
+
+def _redo_point(seen: RunView) -> str:
+    """Return which point a wish to redo repeats, with its angle; empty where no point was measured."""
+    index = _next_step(seen) if seen.step is None else seen.step.step
+    try:
+        found = redo_from(seen.plan, seen.progress, Wish.REPEAT_POINT, index)
+    except (LookupError, ValueError):  # nothing is turned yet
+        return ""
+    if found is None:
+        return ""
+    steps = seen.plan.steps[found.first :]
+    turn = next((step for step in steps if isinstance(step, Turn)), None)
+    read = next((step for step in steps if isinstance(step, Read)), None)
+    if turn is None or read is None:
+        return ""
+    return f"point {read.point}, {format_dms(turn.target_rad)}, pass {read.pass_number}"
+
+
 def _where(seen: RunView, time_left: TimeLeft) -> dict[str, Any]:
     step = _step_at(seen)
     left_s = None
-    if seen.step is not None:
-        left_s = time_left.at(seen.step.step, seen.step.bench_s)
+    if seen.state not in ENDED and seen.latest is not None:
+        at, bench_s = _next_step(seen), seen.latest.bench_s
+        if seen.step is not None:
+            at, bench_s = seen.step.step, seen.step.bench_s
+        left_s = time_left.at(at, bench_s)
     return {
         "installation": getattr(step, "installation", None) or getattr(seen.mounted, "installation", None),
         "series": getattr(step, "series", None) or getattr(seen.mounted, "series", None),
@@ -196,6 +264,12 @@ def _where(seen: RunView, time_left: TimeLeft) -> dict[str, Any]:
         "left_s": left_s,
         "left": None if left_s is None else duration(left_s),
     }
+
+
+def _next_step(seen: RunView) -> int:
+    """Return the index of the first step that is neither done nor left out; the number of steps at the end."""
+    over = seen.progress.done | seen.progress.skipped | seen.progress.left_out
+    return next((i for i in range(len(seen.plan.steps)) if i not in over), len(seen.plan.steps))
 
 
 def _step_at(seen: RunView) -> Step | None:

@@ -178,7 +178,8 @@ async def send_asset(request: Request) -> Response:
 
 APART: Final = {
     "content-security-policy": "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox; "
-    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+    "frame-ancestors 'self'; base-uri 'none'; form-action 'none'",
+    "x-frame-options": "SAMEORIGIN",
 }
 """Of a page that stands by itself, as a file: its own style, and nothing of it acts."""
 

@@ -29,7 +29,7 @@ from bench.services.arguments import python_call
 from bench.services.bench_selection import find_bench_file, own_bench
 from bench.services.calibration import CalibrationResult, calibration_of
 from bench.services.coefficients import coefficients_of
-from bench.services.errors import Refused
+from bench.services.errors import NoCheckBlock, Refused
 from bench.services.requests.history import Chart
 from bench.services.requests.shared import runs_folder
 from bench.services.source import Request, load_sources
@@ -429,9 +429,9 @@ def _of_folder(folder: Path, bench: str | None, kinds: Sequence[bool]) -> tuple[
             return file, path, run
     if given:
         return given.file, Path(given.where), None
-    raise Refused(
-        f"{folder}: no run of a check block there; say --bench FILE whose check_block names it, and measure it "
-        "with bench run PROCEDURE --unit SERIAL"
+    raise NoCheckBlock(
+        f"{folder}: no run of a check block there; name the block in `check_block` of a bench file, and measure it "
+        "with bench run PROCEDURE --bench FILE --unit SERIAL"
     )
 
 

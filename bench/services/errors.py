@@ -29,6 +29,10 @@ class Refused(Exception):
         return _OPTION.sub(_in_python, self.typed)
 
 
+class NoCheckBlock(Refused):
+    """Raised where a folder of runs has none of a check block."""
+
+
 def _in_python(option: re.Match[str]) -> str:
     name = option[1].replace("-", "_")
     return f"{name}=" if option[2] else name

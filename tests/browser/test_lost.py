@@ -60,7 +60,10 @@ def test_a_killed_panel_is_told_loudly_and_the_question_is_there_again(chromium,
         page.wait_for_selector("#lost", state="visible")
         assert "No connection to the panel" in page.inner_text("#lost")
         assert "not connected" in page.inner_text("#age")
-        assert page.locator("#buttons button:enabled, #wishes button:enabled").count() == 0
+        assert (
+            page.locator("#buttons button:enabled, #wishes button:enabled, #stopping button:enabled").count()
+            == 0
+        )
         assert run.process.poll() is None
         apart = served_apart(panel.runs, port)
         page.wait_for_selector("#lost", state="hidden")
@@ -83,10 +86,10 @@ def test_a_killed_run_is_told_and_gone_on_with_by_a_button(visit, run):
     prompt_of(page, asked)
     run.process.send_signal(signal.SIGKILL)
     run.process.communicate()
-    page.wait_for_selector("text=No program carries this run out")
+    page.wait_for_selector("#alarm >> text=ended unexpectedly")
     assert page.locator("#wishes button:enabled").count() == 0
     assert not page.is_visible("#answer")
-    page.click("text=Go on with this run")
+    page.click("text=Resume this run")
     prompt_of(page, "")
     assert len(run.of_type("run_resumed")) == 1
     page.click("text=Stop")

@@ -15,7 +15,10 @@ from tests.browser.conftest import RECORDS
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 SCRIPT = "<script>document.title='caught'</script>"
 HOSTILE = f"{SCRIPT}<img src=x onerror=document.title='caught'>\x1b[31m\u202egnp.exe ünïcode 日本"
-PAGES = ("/", "/start", "/runs/done/", "/runs/asked/", "/runs/mounting/", "/runs/done/verdict", "/runs/none/")
+PAGES = (
+    "/", "/start", "/check", "/runs/done/", "/runs/asked/", "/runs/mounting/", "/runs/done/verdict",
+    "/runs/done/view/report", "/runs/none/",
+)  # fmt: skip
 
 
 def hold_at(runs, name, lines, asked):
@@ -69,7 +72,7 @@ def test_no_page_keeps_people_out_or_scrolls_sideways(visit, panel, asked, schem
         found[path] = [
             (rule["id"], [node["target"] for node in rule["nodes"]][:3]) for rule in told["violations"]
         ]
-        for width in (360, 2560):
+        for width in (360, 390, 1024, 2560):
             page.set_viewport_size({"width": width, "height": 900})
             wide[path, width] = page.evaluate("document.documentElement.scrollWidth") - width
         page.set_viewport_size({"width": 1280, "height": 900})
@@ -80,6 +83,22 @@ def test_no_page_keeps_people_out_or_scrolls_sideways(visit, panel, asked, schem
     )
     assert {path: rules for path, rules in found.items() if rules} == {}
     assert {place: by for place, by in wide.items() if by > 0} == {}
+
+
+@pytest.mark.parametrize("size", [(1024, 768), (390, 844)])
+def test_stop_is_in_view_wherever_one_scrolls_and_the_angle_is_read_from_afar(visit, panel, asked, size):
+    page = visit("/runs/asked/", viewport={"width": size[0], "height": size[1]})
+    page.wait_for_selector("#plots[data-newest]")
+    for down in (0, 800, 3000):
+        page.evaluate(f"scrollTo(0, {down})")
+        box = page.locator("#stopping >> text=Stop").bounding_box()
+        assert 0 <= box["y"] < box["y"] + box["height"] <= size[1]
+        assert 0 <= box["x"] < box["x"] + box["width"] <= size[0]
+    page.evaluate("document.body.classList.add('enlarged'); scrollTo(0, 0)")
+    size_px = page.evaluate("parseFloat(getComputedStyle(document.getElementById('target-angle')).fontSize)")
+    assert size_px >= size[1] / 8
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    assert page.locator("#alarm").is_hidden()  # a question is no alarm
 
 
 def test_what_strangers_wrote_is_text_on_every_page(visit, panel, asked):

@@ -94,7 +94,7 @@ def test_a_question_of_a_run_that_nobody_carries_out_is_none(client, runs, askin
     shutil.copytree(asking, runs / "dead")
     state = client.get("/runs/dead/state").json()
     assert state["prompt"] is None
-    assert "No program carries this run out" in state["doing"]
+    assert "ended unexpectedly" in state["doing"]
 
 
 def test_what_strangers_wrote_is_shown_as_text(client, runs):
@@ -216,7 +216,7 @@ def test_a_run_without_a_program_says_so_and_one_that_is_written_does_not(growin
     append(growing, b"".join(lines[:10]))
     told, _ = all_of(Follower(growing))
     assert not told["alive"]
-    assert "No program carries this run out" in told["doing"]
+    assert "ended unexpectedly" in told["doing"]
     record, _ = Record.reopen(growing, utc_now)
     try:
         told, _ = all_of(Follower(growing))

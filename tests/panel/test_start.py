@@ -86,7 +86,8 @@ def test_what_cannot_be_wished_is_refused_and_nothing_started(runs, started, sen
 def test_the_form_asks_for_fields_of_the_request_and_the_same_request_is_run(runs, started):
     anna = Browser(runs, "anna")
     page = anna.get("/start").text
-    for field in map(form_field, FORM):
+    assert '<input type="radio" name="procedure" value="paper" required>' in page
+    for field in map(form_field, FORM[1:]):
         assert f'<label for="{field.name}">{field.label}</label>' in page
         assert field.help in unescape(page)
     wanted = begun(anna, unit="17-042", dry_run="yes").wanted()

@@ -93,7 +93,7 @@ def test_a_failed_verdict_offers_the_diagnosis_and_then_the_measurement_that_wou
     assert "several explain it equally" in page.text
     assert "cross &lt;b&gt; (channels y), not to be told from other" in page.text
     assert '<a class="button primary" href="/start?after=run">' in page.text
-    assert "what the diagnosis of run proposes" in anna.get("/start?after=run").text
+    assert "proposed by the diagnosis of run" in anna.get("/start?after=run").text
     eve = Browser(runs, "eve", Role.VIEWER)
     assert "Start this measurement" not in eve.get("/runs/run/verdict").text
     assert eve.post("/runs/run/diagnose").status_code == 403

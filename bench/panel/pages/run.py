@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import AsyncIterator, Callable
-from typing import Final, TypeVar
+from collections.abc import AsyncIterator, Callable, Mapping
+from typing import Any, Final, TypeVar
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -14,6 +14,7 @@ from bench.base.numbers import without_infinity
 from bench.panel.access import Person, Refusal, Role
 from bench.panel.holding import change, read_holding, require_holder
 from bench.panel.launching import resume_run
+from bench.panel.outcome import Outcome, outcome_of
 from bench.panel.shared import acting, looking, page, panel_of, person_of, wants_json
 from bench.panel.stream import as_event
 from bench.run.events import RecordError, Wish
@@ -47,7 +48,29 @@ async def run(request: Request) -> Response:
     """Show a run in its current state; the script then updates the page."""
     found = run_of(request)
     state = await panel_of(request).followers.state(found.folder)
-    return page(request, "run.html.j2", state=state, state_json=json.dumps(without_infinity(state)))
+    ended = await run_in_threadpool(_outcome, request, found, state) if state["ended"] else None
+    return page(
+        request,
+        "run.html.j2",
+        run=found,
+        state=state,
+        outcome=ended,
+        state_json=json.dumps(without_infinity(state)),
+    )
+
+
+async def outcome(request: Request) -> Response:
+    """Send the part of the live page on the outcome of a run that has ended."""
+    found = run_of(request)
+    state = await panel_of(request).followers.state(found.folder)
+    told = await run_in_threadpool(_outcome, request, found, state)
+    return page(request, "outcome.html.j2", run=found, state=state, outcome=told)
+
+
+def _outcome(request: Request, run: Run, state: Mapping[str, Any]) -> Outcome:
+    return outcome_of(
+        run, panel_of(request).runs, alive=state["alive"], finished=state["state"] == "finished"
+    )
 
 
 async def state(request: Request) -> Response:

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 from urllib.parse import urlencode
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
-from bench.panel.access import Refusal
+from bench.panel.access import Refusal, Role
 from bench.panel.folder import UNREAD, RunRow
 from bench.panel.shared import APART, looking, page, panel_of
+from bench.services.errors import NoCheckBlock, Refused
 from bench.services.requests.history import Chart
+
+if TYPE_CHECKING:
+    from bench.results.control_chart import CheckBlockChart
 
 ON_A_PAGE: Final = 50
 FILTERS: Final = ("state", "verdict", "instruments", "unit", "bench", "operator")
@@ -65,17 +69,45 @@ KINDS: Final = {"": None, "real": True, "simulated": False}
 
 
 async def check_block(request: Request) -> Response:
-    """Show the charts of the check block of which the latest run is; `of` says whether real or simulated ones."""
+    """Show the charts of the latest check block; `of` says whether those of real or of simulated runs."""
+    person = looking(request)
+    asked = _kind(request)
+    try:
+        await run_in_threadpool(charted, Chart(_folder(request), folder=_folder(request), real=KINDS[asked]))
+    except Refused as why:
+        told = "" if isinstance(why, NoCheckBlock) else str(why)
+        return page(request, "no_check_block.html.j2", told=told, may=person.role is not Role.VIEWER)
+    frame = "/check/chart" + (f"?of={asked}" if asked else "")
+    return page(request, "framed.html.j2", title="Check block", frame=frame, back="/")
+
+
+async def chart(request: Request) -> Response:
+    """Send the page with the charts of the check block."""
     looking(request)
-    asked = request.query_params.get("of", "")
-    if asked not in KINDS:
-        raise Refusal(400, "of: expected real or simulated")
-    drawn = await run_in_threadpool(_drawn, panel_of(request).settings.runs, KINDS[asked])
+    asked = _kind(request)
+    drawn = await run_in_threadpool(_drawn, _folder(request), KINDS[asked])
     return Response(drawn, media_type="text/html; charset=utf-8", headers=APART)
 
 
+def _kind(request: Request) -> str:
+    asked = request.query_params.get("of", "")
+    if asked not in KINDS:
+        raise Refusal(400, "of: expected real or simulated")
+    return asked
+
+
+def _folder(request: Request) -> Path:
+    return panel_of(request).settings.runs
+
+
 def _drawn(folder: Path, real: bool | None) -> str:
-    from bench.results.control_chart import render_chart
-    from bench.services.check_block import charted
+    from bench.results.control_chart import render_chart  # takes long to import
 
     return render_chart(charted(Chart(folder, folder=folder, real=real)))
+
+
+def charted(request: Chart) -> CheckBlockChart:
+    """Return the charts of a check block. Raises `Refused`."""
+    from bench.services.check_block import charted as read_charts  # takes long to import
+
+    return read_charts(request)

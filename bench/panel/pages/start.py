@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import timedelta
+from functools import lru_cache
+from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
@@ -13,6 +17,9 @@ from starlette.responses import RedirectResponse, Response
 
 from bench.base.requests import fields_of
 from bench.base.text import visible
+from bench.base.yaml_files import FileMistakes
+from bench.config.procedure.load import load_procedure
+from bench.config.procedure.plan import Mount, Read, Turn
 from bench.config.shipped import CONFIG, PROCEDURES
 from bench.panel.access import Person, Refusal, Role
 from bench.panel.holding import change, read_holding
@@ -41,14 +48,22 @@ IN_THE_PANEL: Final = {"dry_run": ("Practice", "Simulated instruments, and you a
 FOLDERS: Final = {"procedures": PROCEDURES, "bench_files": CONFIG}
 """Fields that are chosen among files, by what completes them: the folder of the files."""
 LONGEST: Final = 100
+MOST_OFFERED: Final = 500
+"""Number of procedures whose duration is cached."""
 BEGINS_WITHIN: Final = timedelta(seconds=30)
 
 
 def form(request: Request) -> Response:
-    """Show the form with its choices; `after` is a run whose diagnosis proposes measurements."""
+    """Show the form with its choices.
+
+    Query parameters: `after` is a run whose diagnosis proposes measurements, `like` a run whose procedure and bench
+    are preset for the next unit.
+    """
     person = _operator(request)
-    given = {name: request.query_params.get(name, "")[:LONGEST] for name in (*FORM, "after")}
+    given = {name: request.query_params.get(name, "")[:LONGEST] for name in (*FORM, "after", "like")}
     given["operator"] = person.name
+    if given["like"]:
+        given |= _files_of(panel_of(request).runs.run(given["like"]).manifest)
     after = None
     if given["after"]:
         after = panel_of(request).runs.run(given["after"])
@@ -58,8 +73,49 @@ def form(request: Request) -> Response:
         request,
         "start.html.j2",
         fields=[form_field(name) for name in FORM],
+        procedures=offered_procedures(),
         given=given,
         after=after and f"{OF_RUN}{after.name}",
+    )
+
+
+@dataclass(frozen=True)
+class OfferedProcedure:
+    """A procedure as the form offers it: its title, expected time, number of readings, and a drawing.
+
+    `dots` are the angles of the test points on a circle of radius 1, x to the right and y down. A file with
+    mistakes has the first of them as its `title`, and nothing else.
+    """
+
+    name: str
+    title: str
+    time: str = ""
+    readings: int = 0
+    mountings: int = 0
+    dots: tuple[tuple[float, float], ...] = ()
+
+
+def offered_procedures() -> list[OfferedProcedure]:
+    """Return the procedures that may be chosen, each with its duration on a typical bench."""
+    found = choices(PROCEDURES).items()
+    return [_offered(name, file, file.stat().st_mtime_ns if file.is_file() else 0) for name, file in found]
+
+
+@lru_cache(maxsize=MOST_OFFERED)
+def _offered(name: str, file: Path, _changed_ns: int) -> OfferedProcedure:
+    try:
+        procedure = load_procedure(file)
+    except (FileMistakes, OSError, ValueError) as mistakes:
+        return OfferedProcedure(name, str(mistakes).partition("\n")[0])
+    plan = procedure.plan
+    angles = sorted({step.target_rad for step in plan.steps if isinstance(step, Turn)})
+    return OfferedProcedure(
+        name,
+        procedure.title,
+        duration(plan.expected_duration_s()),
+        sum(isinstance(step, Read) for step in plan.steps),
+        sum(isinstance(step, Mount) for step in plan.steps),
+        tuple((round(math.sin(angle), 3), round(-math.cos(angle), 3)) for angle in angles),
     )
 
 
@@ -157,6 +213,18 @@ def _text(sent: dict[str, str], name: str) -> str:
     if len(text) > LONGEST or (text and not text.isprintable()) or visible(text) != text:
         raise Refusal(400, f"{name}: at most {LONGEST} characters that can be printed")
     return text
+
+
+def _files_of(manifest: Mapping[str, Any]) -> dict[str, str]:
+    """Return the names under which the form offers the procedure and the bench file of a run."""
+    offered = {"procedure": choices(PROCEDURES), "bench": choices(CONFIG)}
+    named = {field: Path(str(manifest.get(field, ""))) for field in offered}
+    return {
+        field: name
+        for field, path in named.items()
+        for name in (path.stem, path.name)
+        if name in offered[field]
+    }
 
 
 def _unit_of(manifest: Any) -> str:

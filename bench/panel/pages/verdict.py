@@ -42,6 +42,26 @@ def verdict(request: Request) -> Response:
     )
 
 
+VIEWS: Final = {"report": ("Report", REPORT), "diagnosis": ("Diagnosis", DIAGNOSIS)}
+
+
+def view(request: Request) -> Response:
+    """Show the report or the diagnosis of a run below the panel's header."""
+    run, what = _run(request), request.path_params["what"]
+    title, file = VIEWS.get(what, ("", ""))
+    if not title:
+        raise Refusal(404, "there is no such page of a run")
+    read_page(run, file)  # says what is missing, in the panel's own page
+    here = f"/runs/{quote(run.name)}"
+    return page(
+        request,
+        "framed.html.j2",
+        title=f"{title} of {run.name}",
+        frame=f"{here}/{what}",
+        back=f"{here}/verdict",
+    )
+
+
 def report(request: Request) -> Response:
     """Send the report of a run from its folder, unchanged."""
     return _apart(read_page(_run(request), REPORT), "text/html; charset=utf-8")

@@ -5,17 +5,18 @@
   if (!live) return;
   const $ = (id) => document.getElementById(id);
   const me = { name: live.dataset.person, role: live.dataset.role, csrf: live.dataset.csrf };
-  const LATE_S = 5, OPEN_AGAIN_S = 7;
+  const LATE_S = 5, OPEN_AGAIN_S = 7, MOST_OUTCOMES = 120;
   const MARKS = { ready: "○", running: "▶", paused: "❚❚", finished: "✓", failed: "✗", interrupted: "■", aborted: "✗", dead: "✗" };
 
   let state = JSON.parse(live.dataset.state);
-  let points = [];
+  let points = [], kOfBand = 2;
   let heard = performance.now();      /* when the server was heard last */
   let offset = Date.parse(state.now) - Date.now();
   let source = null, opened = 0, gone = "";
   let sentFor = "";                   /* the question that was answered here and still stands */
   let shownPrompt = null, shownDrawing = "";
   let checkTimer = 0, checkNumber = 0, sureOf = "";
+  let called = "", outcomeAsked = 0;  /* the question that was announced; how often the outcome was asked for */
 
   const put = (id, text) => { const at = $(id); if (at.textContent !== text) at.textContent = text; };
   const show = (id, shown) => { $(id).hidden = !shown; };
@@ -35,6 +36,7 @@
 
   /* --- who may do what: the server decides, the page only shows it ----------------------------------------------- */
 
+  const WISHES = document.querySelectorAll("#stopping button, #wishes button");
   const holder = () => (state.control || {}).holder || "";
   const holding = () => me.role !== "viewer" && holder() === me.name;
   const lost = () => (performance.now() - heard) / 1000 > LATE_S || gone !== "";
@@ -76,16 +78,19 @@
 
   const allow = () => {
     const cut = lost(), going = state.alive && !state.ended;
-    for (const button of $("wishes").querySelectorAll("button")) {
+    for (const button of WISHES) {
       const wish = button.dataset.wish;
-      const heardIn = wish === "pause" ? state.state === "running" : wish === "continue" ? state.state === "paused" : true;
+      const heardIn = wish === "pause" ? state.state === "running" : wish === "continue" ? state.state === "paused" : wish === "redo" ? state.redo !== "" : true;
       button.disabled = cut || !going || !heardIn || (wish !== "stop" && !holding());
+      if (wish === "pause") button.hidden = state.state === "paused";
+      if (wish === "continue") button.hidden = state.state !== "paused";
     }
     show("wishes", going);
+    show("stopping", going);
     show("look-back", state.ended);
     show("controls", !state.ended || state.to_do.length > 0);
     show("resume", !state.alive && !state.ended && me.role !== "viewer");
-    $("resume-button").disabled = cut;
+    $("resume-button").disabled = $("alarm-resume").disabled = cut;
     const may = holding() && !cut && state.prompt && sentFor !== state.prompt.id;
     for (const button of $("buttons").querySelectorAll("button")) button.disabled = !may;
     $("typed").readOnly = !may;
@@ -108,9 +113,10 @@
     sentFor = "";
     const typed = $("typed"), same = old && prompt && old.do === prompt.do && old.target === prompt.target && old.kind === prompt.kind;
     const wants = prompt && (prompt.kind === "angle" || prompt.kind === "number");
-    if (!same) typed.value = "";
+    if (!same) typed.value = prompt ? sessionStorage.getItem(DRAFT + prompt.id) || "" : "";
     show("typing", Boolean(wants));
     if (!prompt) { $("buttons").replaceChildren(); return; }
+    show("signs", prompt.kind === "angle" && matchMedia("(pointer: coarse)").matches);
     put("typed-label", prompt.kind === "angle" ? "Angle read on the scale" : `Value${prompt.unit ? " in " + prompt.unit : ""}`);
     typed.placeholder = prompt.kind === "angle" ? "45 00 10" : "";
     const buttons = prompt.buttons.map((of, i) => {
@@ -136,6 +142,14 @@
     $("typed").value = words;
     $("typed").focus();
     check();
+  };
+
+  /* What is half typed survives a reload of the page. */
+  const DRAFT = `draft:${location.pathname}:`;
+  const keepDraft = () => {
+    if (!shownPrompt) return;
+    for (const key of Object.keys(sessionStorage)) if (key.startsWith(DRAFT)) sessionStorage.removeItem(key);
+    if ($("typed").value) sessionStorage.setItem(DRAFT + shownPrompt.id, $("typed").value);
   };
 
   const label = () => {
@@ -186,7 +200,15 @@
     told(shownPrompt.kind === "angle" ? "✗ Nothing is typed: read the scale and type what it shows." : "✗ Nothing is typed.", "bad");
     $("typed").focus();
   });
-  $("typed").addEventListener("input", check);
+  $("typed").addEventListener("input", () => { keepDraft(); check(); });
+  for (const button of $("signs").querySelectorAll("button")) {
+    button.addEventListener("click", () => {
+      const typed = $("typed");
+      typed.setRangeText(button.dataset.sign, typed.selectionStart, typed.selectionEnd, "end");
+      typed.focus();
+      typed.dispatchEvent(new Event("input"));
+    });
+  }
 
   /* --- what is sent ------------------------------------------------------------------------------------------------ */
 
@@ -212,24 +234,81 @@
     return false;
   };
 
-  for (const button of $("wishes").querySelectorAll("button")) {
+  const AGAIN = { abort: ["Give up the run", () => "Give it up for good: press again"], redo: ["Redo the point", () => `Redo ${state.redo}: press again`] };
+  for (const button of WISHES) {
     button.addEventListener("click", () => {
       const wish = button.dataset.wish, reason = ["skip", "abort"].includes(wish) ? $("reason").value.trim() : "";
       if (["skip", "abort"].includes(wish) && !reason) { say("Say why first: type the reason beside it.", "bad"); $("reason").focus(); return; }
-      if (wish === "abort" && sureOf !== "abort") {
-        sureOf = "abort";
-        button.textContent = "Give it up for good: press again";
-        setTimeout(() => { sureOf = ""; button.textContent = "Give the run up"; }, 6000);
+      if (wish in AGAIN && sureOf !== wish) {
+        const [calm, asked] = AGAIN[wish];
+        sureOf = wish;
+        button.textContent = asked();
+        setTimeout(() => { if (sureOf === wish) sureOf = ""; button.textContent = calm; }, 6000);
         return;
       }
+      sureOf = "";
       post("wish", { wish, reason }).then((taken) => { if (taken) $("reason").value = ""; });
     });
   }
   $("reasoned").addEventListener("submit", (event) => event.preventDefault());
-  $("resume-button").addEventListener("click", async () => {
-    say("The program that goes on with the run is being started …", "open");
-    if (await post("resume", {})) say("The instruments are being opened …", "open");
+  for (const id of ["resume-button", "alarm-resume"]) {
+    $(id).addEventListener("click", async () => {
+      say("The program that resumes the run is being started …", "open");
+      if (await post("resume", {})) say("The instruments are being opened …", "open");
+    });
+  }
+
+  /* --- a call for the person: sound where it is switched on, else a flash; the screen stays awake ------------------- */
+
+  let audio = null, awake = null;
+  const soundOn = () => $("sound").getAttribute("aria-pressed") === "true";
+  const beep = () => {
+    for (const [at, hertz] of [[0, 880], [0.25, 1175]]) {
+      const tone = audio.createOscillator(), gain = audio.createGain();
+      tone.frequency.value = hertz;
+      gain.gain.setValueAtTime(0.2, audio.currentTime + at);
+      gain.gain.exponentialRampToValueAtTime(0.001, audio.currentTime + at + 0.2);
+      tone.connect(gain).connect(audio.destination);
+      tone.start(audio.currentTime + at);
+      tone.stop(audio.currentTime + at + 0.2);
+    }
+  };
+  const call = () => {
+    if (soundOn() && audio) { audio.resume(); beep(); return; }
+    $("now").classList.remove("flash");
+    void $("now").offsetWidth;  /* the animation begins anew */
+    $("now").classList.add("flash");
+  };
+  const press = (id, on, words) => {
+    $(id).setAttribute("aria-pressed", String(on));
+    $(id).textContent = words;
+  };
+  $("sound").addEventListener("click", () => {
+    const on = !soundOn();
+    press("sound", on, on ? "Sound on" : "Sound off");
+    if (on) { audio = audio || new AudioContext(); call(); }
   });
+  const makeBig = (on) => {
+    document.body.classList.toggle("enlarged", on);
+    press("big", on, on ? "Normal" : "Big");
+    localStorage.setItem("big", on ? "yes" : "");
+  };
+  $("big").addEventListener("click", () => {
+    makeBig(!document.body.classList.contains("enlarged"));
+    if (!$("answer").hidden && !$("typing").hidden) $("typed").focus();
+  });
+  if (localStorage.getItem("big")) makeBig(true);
+
+  const stayAwake = async () => {
+    if (state.ended || !holding()) { if (awake) { awake.release(); awake = null; } show("awake", false); return; }
+    if (!("wakeLock" in navigator)) {
+      show("awake", matchMedia("(pointer: coarse)").matches);
+      put("awake", "This device may darken its screen: lengthen the screen timeout in its settings.");
+      return;
+    }
+    if (awake && !awake.released) return;
+    try { awake = await navigator.wakeLock.request("screen"); } catch { awake = null; }
+  };
 
   /* --- what is shown ----------------------------------------------------------------------------------------------- */
 
@@ -247,18 +326,23 @@
     $("todo").classList.toggle("small", (prompt ? prompt.text : state.doing).length > 140);
     show("target", Boolean(prompt && prompt.target));
     if (prompt && prompt.target) {
-      put("target-angle", prompt.target);
+      put("target-angle", prompt.target.replace("°", "°\u200b"));  /* a narrow screen breaks it here */
       put("approach", prompt.direction > 0 ? "↺ rising, from below" : "↻ falling, from above");
     }
     show("answer", Boolean(prompt));
+    $("now").classList.toggle("asking", Boolean(prompt));
     draw(prompt ? prompt.drawing : "");
     if ((prompt || {}).id !== (shownPrompt || {}).id) askedAnew(prompt);
+    if (prompt && holding() && called !== prompt.id) { called = prompt.id; call(); }
+    showAlarm();
+    if (state.ended) askOutcome(); else if ($("end").firstElementChild) { $("end").replaceChildren(); outcomeAsked = 0; }
+    show("todo", !state.ended || !$("end").textContent.trim());
     const notes = [];
     if (prompt && !holding()) notes.push(holder() ? `${holder()} answers here, or somebody at the terminal.` : "Take control to answer here; the terminal answers too.");
     if (state.refused && state.refused.why) notes.push(`Not taken: “${state.refused.answer}” – ${state.refused.why}.`);
     else if (state.answered) notes.push(`Last answer: “${state.answered.answer}”${state.answered.by ? ` by ${state.answered.by}` : ""}${state.answered.place ? ` (${state.answered.place})` : ""}.`);
-    if (state.why) notes.push(state.why);
-    put("told", notes.join(" "));
+    if (state.why && !state.alarm) notes.push(state.why);
+    put("told", state.ended ? "" : notes.join(" "));
 
     const where = state.where;
     put("installation", where.installation ? `${where.installation}${where.series > 1 ? ` (visit ${where.series})` : ""}` : "–");
@@ -266,6 +350,8 @@
     put("point", where.point ? String(where.point) : "–");
     put("reading-count", `${where.reading} of ${where.readings}`);
     put("left", where.left || "–");
+    show("left-part", !state.ended);
+    put("now-title", state.ended ? "Result" : "Now");
     $("done").value = where.done;
     put("steps", `step ${where.step || where.done} of ${where.steps}`);
 
@@ -282,12 +368,13 @@
       put("window", state.chamber.window || "");
     }
     show("soak", Boolean(state.soak));
+    put("outside", outsideWords());
     list("warnings", state.warnings, (warning) => {
       const one = made("div", undefined, `note ${warning.stops ? "bad" : "open"}`);
       one.append(made("p", `⚠ ${warning.words}`));
       if (warning.causes.length) one.append(made("p", `probable cause: ${warning.causes.join(" or ")}`, "soft"));
       return one;
-    }, () => made("p", "none", "soft"));
+    });
     list("log", state.log, (line) => {
       const one = made("li");
       one.append(made("span", clock(line.time), "soft"), ` ${line.words}`);
@@ -300,14 +387,53 @@
     live.dataset.ended = state.ended;
     showControl();
     allow();
+    stayAwake();
     tick();
   };
 
-  const list = (id, items, each, none) => {
+  const list = (id, items, each) => {
     const key = JSON.stringify(items);
     if ($(id).dataset.key === key) return;
     $(id).dataset.key = key;
-    $(id).replaceChildren(...(items.length || !none ? items.map(each) : [none()]));
+    $(id).replaceChildren(...items.map(each));
+  };
+
+  const showAlarm = () => {
+    const alarm = state.alarm;
+    show("alarm", Boolean(alarm));
+    if (!alarm) return;
+    put("alarm-cause", `⚠ ${alarm.cause}`);
+    put("alarm-action", alarm.action);
+    put("alarm-details", alarm.details);
+    show("alarm-more", alarm.details !== "");
+    show("alarm-resume", alarm.do === "resume" && me.role !== "viewer");
+  };
+
+  /* Marks in the plots and warnings speak of the same readings: some lie outside by chance, and that is no warning. */
+  const outsideWords = () => {
+    const told = BenchPlots.outside(points, kOfBand);
+    const none = state.warnings.length ? "" : "No early warning. ";
+    if (!told.values) return none.trim();
+    return `${none}${told.outside} of ${told.values} values lie outside ± ${kOfBand}·u; about ${told.expected} do by chance.`;
+  };
+
+  const askOutcome = async () => {
+    const shown = $("outcome") ? $("outcome").dataset.outcome : "";
+    const key = `${state.events} ${state.alive}`;
+    if (askOutcome.busy || (askOutcome.key === key && shown !== "waiting") || outcomeAsked > MOST_OUTCOMES) return;
+    if (shown === "ready" || shown === "none") { if (askOutcome.key === undefined) { askOutcome.key = key; return; } }
+    askOutcome.busy = true;
+    askOutcome.key = key;
+    outcomeAsked += 1;
+    try {
+      const reply = await fetch("outcome");
+      if (!reply.ok) return;
+      const parsed = new DOMParser().parseFromString(await reply.text(), "text/html").getElementById("outcome");
+      if (!parsed) return;
+      $("end").replaceChildren(document.importNode(parsed, true));
+      show("todo", !$("end").textContent.trim());
+    } catch { /* the loss of connection is shown elsewhere */ } finally { askOutcome.busy = false; }
+    if ($("outcome") && $("outcome").dataset.outcome === "waiting") setTimeout(askOutcome, 1000);
   };
 
   const showReading = () => {
@@ -330,7 +456,7 @@
     const silent = (performance.now() - heard) / 1000, cut = lost();
     document.body.classList.toggle("stale", cut);
     show("lost", cut);
-    if (cut) put("lost", gone || `✗ No connection to the panel for ${seconds(silent)}: what stands here is old. The run itself is not touched by this.`);
+    if (cut) put("lost", gone || `✗ No connection to the panel for ${seconds(silent)}: this page is out of date. The run continues.`);
     const age = state.last_time ? `last event ${seconds(Math.max(0, (now() - Date.parse(state.last_time)) / 1000))} ago` : "no event yet";
     put("age", `${cut ? "✗ not connected" : "● connected"} · ${age}`);
     if (state.soak) {
@@ -356,7 +482,9 @@
     source.addEventListener("points", (event) => {
       const sent = took(event);
       points = points.slice(0, sent.from).concat(sent.points);
-      BenchPlots.show($("plots"), points, sent.k);
+      kOfBand = sent.k;
+      BenchPlots.show($("plots"), points, kOfBand);
+      put("outside", outsideWords());
     });
     source.addEventListener("beat", (event) => { took(event); tick(); });
     source.addEventListener("trouble", (event) => { gone = `✗ ${took(event).words}`; gone = gone || "✗"; source.close(); tick(); });
@@ -371,5 +499,5 @@
   showState();
   open();
   setInterval(tick, 500);
-  document.addEventListener("visibilitychange", () => { if (!document.hidden) tick(); });
+  document.addEventListener("visibilitychange", () => { if (!document.hidden) { tick(); stayAwake(); } });
 })();

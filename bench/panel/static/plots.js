@@ -8,6 +8,13 @@ const BenchPlots = (() => {
   /* Bands this many times wider than the narrowest are cut off at the edge: the first readings know nothing yet. */
   const WIDEST = 6;
 
+  /* The share of a normal distribution beyond ± k (Abramowitz and Stegun, 26.2.17; good to 1e-7). */
+  const BY_CHANCE = (k) => {
+    const t = 1 / (1 + 0.2316419 * k);
+    const tail = t * (0.319381530 + t * (-0.356563782 + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429))));
+    return 2 * Math.exp(-k * k / 2) / Math.sqrt(2 * Math.PI) * tail;
+  };
+
   const el = (name, attributes, text) => {
     const made = document.createElementNS(NS, name);
     for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
@@ -127,5 +134,13 @@ const BenchPlots = (() => {
     place.querySelector("[data-legend]").textContent = labels.map((label) => `${shapes.get(label)}: installation ${label}`).join("; ");
     place.dataset.newest = points[points.length - 1].n;
   };
-  return { show };
+
+  /* How many values of all channels lie outside their bands, and how many do by chance (normal, two-sided). */
+  const outside = (points, k) => {
+    const standing = points.filter((p) => !p.struck);
+    const values = standing.length * CHANNELS.length;
+    const found = standing.reduce((sum, p) => sum + CHANNELS.filter((_, i) => Math.abs(p.residual[i]) > k * p.u[i]).length, 0);
+    return { values, outside: found, expected: Math.round(values * BY_CHANCE(k)) };
+  };
+  return { show, outside };
 })();

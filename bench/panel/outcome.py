@@ -1,0 +1,195 @@
+"""The end of a run on its live page: the verdict as a picture, what changed, and what to do next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from bench.base.numbers import probability, rounded, scale_for, uncertainty
+from bench.panel.folder import RunsFolder
+from bench.panel.results import CALIBRATE, Results, VerdictTold, is_plain, results_of
+from bench.run.events import RecordError
+from bench.run.folder import Run
+
+MOST_CHANGES: Final = 3
+"""Number of coefficients that are listed as changed; the comparison command lists all."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """The comparison with the unit's previous calibration, in words."""
+
+    previous: str
+    sentence: str
+    changed: bool
+    rows: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Whisker:
+    """A verification point in the picture: its label, and positions across and down in the drawing's units."""
+
+    label: str
+    value: str
+    y: float
+    x: float
+    low: float
+    high: float
+    passed: bool
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Δg ± U of each verification point against the limits, as coordinates of a drawing `WIDTH` wide."""
+
+    height: float
+    left: float
+    right: float
+    zero: float
+    whiskers: tuple[Whisker, ...]
+    label: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the live page shows of a run that has ended.
+
+    `state` is "waiting" while the results are computed, "none" where there are none, else "ready". `misfit` says
+    why a diagnosis is offered; it is empty where the readings fit and pass.
+    """
+
+    state: str
+    results: Results
+    misfit: str
+    change: Change | None
+    picture: Picture | None
+
+
+def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Outcome:
+    """Return the outcome of a run that has ended; `alive` says whether its program still works."""
+    found = results_of(run)
+    state = "ready" if found.calibration is not None else "none"
+    # coefficients are written before the verdict: they alone are not the end
+    if finished and (alive or run.results_missing):
+        state = "waiting"
+    done = state == "ready"
+    return Outcome(
+        state=state,
+        results=found,
+        misfit=_misfit(found) if done else "",
+        change=_change(run, runs) if done else None,
+        picture=picture_of(found.verdict) if done and found.verdict else None,
+    )
+
+
+def _misfit(found: Results) -> str:
+    """Return the reason to diagnose a run: readings that the model does not fit, or a verdict that is no pass."""
+    if found.calibration is not None and not found.calibration.fits:
+        return "The model does not fit the readings. The diagnosis looks for the missing effect."
+    if found.verdict is not None and not found.verdict.passed:
+        return "The block did not pass. The diagnosis looks for the cause."
+    return ""
+
+
+def _change(run: Run, runs: RunsFolder) -> Change | None:
+    """Compare a run with the unit's previous calibration; None where there is no earlier one."""
+    previous = previous_calibration(run, runs)
+    if previous is None:
+        return None
+    from bench.results.compare import compare_result  # the analyses take long to import
+    from bench.services.errors import Refused
+    from bench.services.history import compared
+    from bench.services.requests.history import Compare
+
+    try:
+        files = tuple(str(one.folder / CALIBRATE) for one in (previous, run))
+        found = compare_result(compared(Compare(files)).found, ())
+    except (Refused, ValueError, KeyError, OSError) as error:
+        return Change(previous.name, f"The two calibrations cannot be compared: {error}", changed=False)
+    (later,) = found.compared
+    rows = sorted(later.coefficients.items(), key=lambda one: one[1].p_all_looks)
+    listed = tuple(_row(name, one.difference, 2 * one.u, found.unit) for name, one in rows if one.changed)
+    if listed:
+        sentence = f"Changed beyond the uncertainty: {len(listed)} of {len(rows)} coefficients."
+    elif found.changed:
+        sentence = "No single coefficient changed, but all of them together did."
+    else:
+        sentence = "No coefficient changed beyond its uncertainty."
+    sentence += f" All {len(rows)} together: {probability(later.p)}."
+    return Change(previous.name, sentence, found.changed, listed[:MOST_CHANGES])
+
+
+def _row(name: str, difference: float, expanded: float, unit: str) -> str:
+    scale = scale_for(abs(difference), unit)
+    per = "" if name.startswith("U0") else "/g"
+    return (
+        f"{name}: {rounded(difference / scale.size, expanded / scale.size, sign=True)} "
+        f"± {uncertainty(expanded / scale.size)} {scale.unit}{per}"
+    )
+
+
+def previous_calibration(run: Run, runs: RunsFolder) -> Run | None:
+    """Return the last calibration of the same unit before a run, of its kind of instruments; None without one."""
+    mine = _identity(run)
+    if mine is None:
+        return None
+    earlier = [
+        (one[1], other)
+        for other in runs.runs()
+        if (one := _identity(other)) is not None
+        and one[0] == mine[0]
+        and one[1] < mine[1]
+        and is_plain(other.folder / CALIBRATE)
+    ]
+    return max(earlier, key=lambda one: one[0])[1] if earlier else None
+
+
+def _identity(run: Run) -> tuple[tuple[str, str, bool], str] | None:
+    """Return unit (type, serial, simulated or not) and time of a run; None where no serial number is known."""
+    try:
+        manifest = run.manifest
+    except RecordError:
+        return None
+    unit = manifest.get("unit_under_test")
+    if not isinstance(unit, dict) or not unit.get("serial"):
+        return None
+    return (str(unit.get("type")), str(unit["serial"]), bool(manifest.get("dry_run"))), str(
+        manifest.get("created", "")
+    )
+
+
+WIDTH: Final = 600.0
+LABELS: Final = 110.0
+"""Room for the angles to the left of the whiskers."""
+EDGE: Final = 20.0
+ROW: Final = 34.0
+
+
+def picture_of(verdict: VerdictTold) -> Picture:
+    """Return the picture of a verdict: one whisker for each verification point, down the page."""
+    largest = max([1.25, *(abs(row.of_limit) + row.u_of_limit for row in verdict.rows)])
+    middle, unit = (LABELS + WIDTH - EDGE) / 2, (WIDTH - EDGE - LABELS) / 2 / largest
+
+    def at(of_limit: float) -> float:
+        return round(middle + unit * of_limit, 1)
+
+    return Picture(
+        height=ROW * (len(verdict.rows) + 1),
+        left=at(-1.0),
+        right=at(1.0),
+        zero=at(0.0),
+        whiskers=tuple(
+            Whisker(
+                label=row.where.partition(" ")[0],
+                value=f"{row.delta} ± {row.expanded} {verdict.unit}",
+                y=ROW * (i + 0.5),
+                x=at(row.of_limit),
+                low=at(row.of_limit - row.u_of_limit),
+                high=at(row.of_limit + row.u_of_limit),
+                passed=row.passed,
+            )
+            for i, row in enumerate(verdict.rows)
+        ),
+        label=f"Δg ± U at {len(verdict.rows)} verification points, with the limits ±{verdict.limit} "
+        f"{verdict.unit}; worst |Δg| {verdict.worst} ± {verdict.expanded} {verdict.unit}",
+    )

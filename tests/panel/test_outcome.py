@@ -1,0 +1,170 @@
+"""The end of a run on its page: the verdict, the change since the last calibration, what is offered next."""
+
+import json
+import shutil
+
+import pytest
+
+from bench.base.numbers import rounded
+from bench.panel.access import Role
+from bench.panel.folder import RunsFolder
+from bench.panel.outcome import EDGE, LABELS, WIDTH, outcome_of, picture_of, previous_calibration
+from bench.panel.results import results_of
+from bench.panel.stream import Follower
+from bench.run.events import EVENTS, MANIFEST
+from bench.run.folder import Run
+from tests.support.pages import ROOT
+from tests.support.panel_client import Browser
+
+RECORDS = ROOT / "tests" / "data" / "records"
+
+
+@pytest.fixture
+def runs(tmp_path):
+    (tmp_path / "runs").mkdir()
+    return tmp_path / "runs"
+
+
+@pytest.fixture
+def judged(runs, dry_run_of_paper):
+    shutil.copytree(dry_run_of_paper, runs / "run")
+    return runs / "run"
+
+
+def change(file, **told):
+    file.write_text(json.dumps({**json.loads(file.read_text("utf-8")), **told}), "utf-8")
+
+
+def serial(folder, number, created):
+    change(folder / MANIFEST, unit_under_test={"type": "block", "serial": number}, created=created)
+
+
+def outcome(folder, **told):
+    return outcome_of(Run(folder), RunsFolder(folder.parent), **{"alive": False, "finished": True, **told})
+
+
+def test_the_page_of_a_finished_run_ends_with_verdict_picture_and_next_steps(runs, judged):
+    worst = max(
+        json.loads((judged / "verify.json").read_text())["points"], key=lambda one: abs(one["delta_g"])
+    )
+    page = Browser(runs, "anna").get("/runs/run/").text
+    assert f"worst |Δg| = {rounded(abs(worst['delta_g']) * 1e6, worst['U'] * 1e6)} ±" in page
+    assert page.count('class="whisker ') == 4
+    assert 'href="/runs/run/view/report">Report</a>' in page
+    assert 'href="/start?like=run">Next unit</a>' in page
+    assert ">Diagnose</button>" not in page  # it passed and fits
+    viewer = Browser(runs, "vera", Role.VIEWER).get("/runs/run/outcome").text
+    assert "worst |Δg|" in viewer
+    assert "Next unit" not in viewer
+
+
+def test_the_picture_has_each_point_with_its_u_at_its_place(judged):
+    points = json.loads((judged / "verify.json").read_text())
+    picture = picture_of(results_of(Run(judged)).verdict)
+    scale = (picture.right - picture.left) / (2 * points["limit_g"])
+    for whisker, point in zip(picture.whiskers, points["points"], strict=True):
+        assert whisker.x - picture.zero == pytest.approx(scale * point["delta_g"], abs=0.2)
+        assert whisker.high - whisker.low == pytest.approx(2 * scale * point["U"], abs=0.2)
+        assert LABELS <= whisker.low < whisker.high <= WIDTH - EDGE
+
+
+@pytest.mark.parametrize(
+    ("file", "told", "words"),
+    [
+        ("verify.json", {"passed": False, "statement": "fail"}, "The block did not pass"),
+        ("calibrate.json", {"residual": {"p": 1e-5}}, "The model does not fit the readings"),
+    ],
+)
+def test_a_run_that_failed_or_misfits_offers_the_diagnosis(runs, judged, file, told, words):
+    change(judged / file, **told)
+    page = Browser(runs, "anna").get("/runs/run/").text
+    assert words in page
+    assert '<button class="primary">Diagnose</button>' in page
+
+
+def test_results_that_are_being_computed_are_waited_for(judged):
+    assert outcome(judged).state == "ready"
+    assert outcome(judged, alive=True).state == "waiting"
+    for name in ("calibrate.json", "verify.json"):
+        (judged / name).unlink()
+    assert outcome(judged).state == "waiting"
+    assert outcome(judged, finished=False).state == "none"
+
+
+def test_the_previous_calibration_is_the_last_one_before_of_the_same_unit(runs, judged):
+    for name, number, day in [("old", "7", 1), ("last", "7", 2), ("other", "8", 3), ("later", "7", 5)]:
+        shutil.copytree(judged, runs / name)
+        serial(runs / name, number, f"2026-11-0{day}T00:00:00+00:00")
+    serial(judged, "7", "2026-11-04T00:00:00+00:00")
+    found = previous_calibration(Run(judged), RunsFolder(runs))
+    assert found.name == "last"
+    assert outcome(runs / "old").change is None
+    assert outcome(runs / "other").change is None
+
+
+def test_what_changed_since_then_is_said_with_its_u(runs, judged):
+    shutil.copytree(judged, runs / "last")
+    serial(runs / "last", "7", "2026-11-01T00:00:00+00:00")
+    serial(judged, "7", "2026-11-04T00:00:00+00:00")
+    same = outcome(judged).change
+    assert same.previous == "last"
+    assert "No coefficient changed" in same.sentence
+    told = json.loads((judged / "calibrate.json").read_text())
+    told["coefficients"]["Kxx"]["value"] *= 1.01
+    change(judged / "calibrate.json", coefficients=told["coefficients"])
+    moved = outcome(judged).change
+    assert moved.changed
+    assert moved.rows[0].startswith("Kxx: ")
+    assert "Changed beyond the uncertainty: 1 of 12" in moved.sentence
+
+
+@pytest.mark.parametrize("what", ["report", "diagnosis", "else"])
+def test_report_and_diagnosis_are_shown_below_the_header_of_the_panel(runs, judged, what):
+    browser = Browser(runs, "anna")
+    there = browser.get(f"/runs/run/view/{what}")
+    if what != "report":  # it was not diagnosed
+        assert there.status_code == 404
+        return
+    assert '<iframe class="framed" src="/runs/run/report"' in there.text
+    framed = browser.get("/runs/run/report")
+    assert framed.headers["x-frame-options"] == "SAMEORIGIN"
+    assert "sandbox; frame-ancestors 'self'" in framed.headers["content-security-policy"]
+    assert there.headers["x-frame-options"] == "DENY"
+
+
+# --- before the end -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def growing(tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(RECORDS / "finished", folder)
+    return folder
+
+
+def state_after(folder, lines):
+    whole = (RECORDS / "finished" / EVENTS).read_bytes().splitlines(keepends=True)
+    (folder / EVENTS).write_bytes(b"".join(whole[:lines]))
+    follower = Follower(folder)
+    follower.look()
+    return follower.state()
+
+
+def test_time_left_is_known_at_every_event_of_a_run_and_falls(growing):
+    whole = (RECORDS / "finished" / EVENTS).read_bytes().splitlines()
+    left = [state_after(growing, lines)["where"]["left_s"] for lines in range(1, len(whole), 7)]
+    assert None not in left
+    assert left[0] > left[len(left) // 2] > left[-1] >= 0.0
+    assert state_after(growing, len(whole))["where"]["left"] is None
+
+
+def test_redo_names_the_point_that_it_repeats(growing):
+    assert state_after(growing, 3)["redo"] == ""
+    assert state_after(growing, 40)["redo"] == "point 6, 225°00′00″, pass 1"
+
+
+def test_a_run_whose_program_is_gone_is_an_alarm_and_a_finished_one_is_none(growing):
+    alarm = state_after(growing, 40)["alarm"]
+    assert alarm["do"] == "resume"
+    assert "ended unexpectedly" in alarm["cause"]
+    assert state_after(growing, 10_000)["alarm"] is None
