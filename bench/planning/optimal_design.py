@@ -96,7 +96,7 @@ def coefficient_goals(asked: Mapping[str, float]) -> list[Goal]:
 def delta_g_goals(
     block: Block, force: Floats, reading_v: float, asked_g: float, at: Sequence[Setting]
 ) -> list[Goal]:
-    """Return a goal for Δg at each verification point `at`, with specific forces (n, 3) in g of modulus 1.
+    """Return a goal for Δg at each verification point `at`; `force` (n, 3) is the specific force there, of 1 g.
 
     The noise `reading_v` of the reading at the point is included. Raises `CalibrationError` if this noise alone
     exceeds the uncertainty asked for.

@@ -364,7 +364,7 @@ class Visits(ExchangeDesign):
 
     @property
     def _freedom(self) -> float:
-        """Degrees of freedom of the reading noise: two of the three signals; the third shows the setting error."""
+        """Degrees of freedom of the reading noise; of three signals, one is counted for the setting error."""
         if self.repeats >= LEAST_REPEATS:
             return 2.0 * self.repeats
         return 2.0 * (3 * self.settings - len(self._prior)) / 3.0
@@ -436,7 +436,7 @@ class DesignTask:
 
     @property
     def candidates(self) -> SettingPool:
-        """The grid scaled to the noise; the stand's angles remain in units of their prior uncertainty."""
+        """The sites as candidates, with derivatives in units of the noise; the stand's angles keep their priors."""
         return SettingPool(self.grid.rows / self.scale)
 
     def time_s(self, counts: Ints) -> float:

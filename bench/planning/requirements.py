@@ -311,7 +311,7 @@ def of_acceleration(magnitude_g: float, *, reading: bool, modulus: bool) -> Targ
 class Limit:
     """The limit of the standard uncertainty `u` of a source.
 
-    It is infinite if any size is acceptable, None if even a size of zero does not meet the accuracy.
+    `u` is infinite if any size is acceptable, None if even a size of zero does not meet the accuracy.
     """
 
     source: ErrorSource

@@ -124,7 +124,7 @@ class Inquiry:
         return self._fitting([one.supposed for one in supposed], judged, before)
 
     def _off_by_some(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """Return the suspects of free size: the block turned about the shaft or tilted, or one channel off."""
+        """Return the suspects of unknown size: the block turned about the shaft or tilted, or one channel off."""
         further = self._shifts(sighting, state)
         judged = state.judge(sighting.signal_v, sighting.pose, self.noise, further)
         weighed = np.linalg.solve(judged.covariance, further[..., None])[..., 0]
@@ -158,7 +158,7 @@ class Inquiry:
         ]
 
     def _others(self, sighting: Sighting, *, few: bool) -> dict[str, Supposition]:
-        """Return the alternative installations of the block by label; with `few`, also alternative orientations."""
+        """Return suppositions on how the block may sit instead, by label; with `few`, other orientations, too."""
         label = sighting.installation
         otherwise = self.otherwise.get(label, ()) if few else ()
         known = {at: other_installation(at, label, sighting.sat_before) for at in self._installations(label)}
@@ -290,7 +290,7 @@ def candidates(history: Sequence[Sighting]) -> list[int]:
 def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
     """Return the suspects that the readings cannot distinguish from the likeliest one, each text once.
 
-    Suspects of free size are left out if the likeliest suspect has a definite size.
+    Suspects of unknown size are left out if the likeliest suspect has a definite size.
     """
     ranked = {s.text: s for s in sorted(suspects, key=lambda s: -s.cost)}
     best = min(ranked.values(), key=lambda s: s.cost, default=None)

@@ -202,7 +202,7 @@ class EarlyWarning:
     # --- the reading ---------------------------------------------------------------------------------
 
     def _sight(self, reading: Reading) -> Sighting:
-        """Return the sighting of a reading, with the variances of the changes possible since the last reading."""
+        """Return the `Sighting` of a reading, with what earlier readings and the plan say about its situation."""
         conditions = readings_of([reading], "").conditions()
         before = self._history[-1] if self._history else None
         new_mount = self._mounted_anew or before is None or before.row.mounts != conditions.mounts

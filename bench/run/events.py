@@ -52,7 +52,7 @@ A record without a default was begun when simple acceptance was the default.
 class CheckedBefore(TypedDict, total=False):
     """The state of the check block at the start of the run.
 
-    `run` is the check block's latest run; `age_h` is the age of that run and `rule` the rule that judged it.
+    `run` is the check block's latest run and `age_h` its age, h. `rule` is the bench file's: refuse or warn.
     `state` is in control, out of control, too old or missing; `said` puts the state in words. `despite` is the
     operator's reason for starting although the state was not good.
     """
@@ -327,7 +327,7 @@ class EventType(StrEnum):
     `visit` is the number of the mounting. `left_out` lists ranges [first, last] of steps that are not needed;
     `taken_up` lists ranges dropped earlier that are needed after all. `now` is the state of the goal furthest
     from being reached (None until the readings determine the coefficients). `settings` and `repeats` are the
-    counts so far. `next` holds the next points, their time and their gain; `in_all` is the total expected at
+    counts so far. `next` holds the next points, their time and their gain; `in_all` is what remains until
     the end. `undecided` are the steps left to later choices, with their expected time. `stop` is the reason
     for ending the measurement.
     """

@@ -144,7 +144,7 @@ class ReadingJudgement(NamedTuple):
 
 
 class Expectation:
-    """Kalman-filter states of m suppositions: mean (m, 17) and covariance (m, 17, 17), in V/g, V and rad."""
+    """Kalman-filter states of m members, one per supposition: `mean` (m, 17), `covariance`; V/g, V and rad."""
 
     def __init__(self, mean: Floats, covariance: Floats) -> None:
         self.mean = mean
@@ -158,7 +158,7 @@ class Expectation:
         return cls(mean[None], np.diag(variance)[None])
 
     def repeated(self, members: int) -> Expectation:
-        """Return the first member, repeated `members` times."""
+        """Return an expectation that holds the first member `members` times."""
         return Expectation(
             np.repeat(self.mean[:1], members, axis=0), np.repeat(self.covariance[:1], members, axis=0)
         )
@@ -314,7 +314,7 @@ LASTING: Final = frozenset({Kind.CABLING, Kind.ROTATION, Kind.INSTALLATION, Kind
 """Mistakes that persist until somebody corrects them; the others affect a single reading."""
 
 FREE: Final = frozenset({Kind.MOVED, Kind.TILTED, Kind.CHANNEL})
-"""Shifts of free size; they are dropped if a mistake of definite size is the likeliest."""
+"""Shifts of unknown size; they are dropped if a mistake of definite size is the likeliest."""
 
 UNLIKELY: Final[Mapping[str, float]] = {Kind.ORIENTATION: 5.0, Kind.SLIP: 1.0, Kind.EARLIER: 2.0}
 """Prior cost of each kind: -2 ln of the odds relative to the most common mistakes."""
@@ -475,7 +475,7 @@ def head_elsewhere(
 
 
 SHIFTS: Final = 5
-"""Number of shifts of free size: block turned about the shaft, block tilted, and each of three channels off."""
+"""Number of shifts of unknown size: block turned about the shaft, block tilted, and each of three channels off."""
 
 AS_IT_IS, ABSENT = SHIFTS, SHIFTS + 1
 """Special shift numbers: the reading as recorded, and the reading left out."""
@@ -529,7 +529,7 @@ class Suspect:
 
     `earlier` is the index of the earlier reading at fault, if any. `moved_rad` and its standard uncertainty
     `u_rad` are set if the mistake is that head or block is off by an angle. `stops` means that no genuine
-    effect resembles this mistake, so that it may stop the run; `free`, that it is a shift of free size.
+    effect resembles this mistake, so that it may stop the run; `free`, that it is a shift of unknown size.
     """
 
     text: str
@@ -547,7 +547,7 @@ class Member:
     """A supposed mistake as followed in a replay, from reading `since` on or at one `reading` alone.
 
     `cabling` (3, 3) corrects the signals. `pose` is an index into the sighting's `poses`. `shift` is the number
-    of a shift of free size, `AS_IT_IS`, or `ABSENT`.
+    of a shift of unknown size, `AS_IT_IS`, or `ABSENT`.
     """
 
     supposed: Supposition

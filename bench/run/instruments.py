@@ -49,7 +49,7 @@ class Instruments:
     def open(self) -> dict[str, Identity]:
         """Open all instruments; return their identities by name.
 
-        Raises the only `BenchError`, or `NotConnected` with all of them if several instruments fail.
+        Raises the `BenchError` of a failing instrument, or `NotConnected` with the errors of several.
         """
         identities: dict[str, Identity] = {}
         failures: list[BenchError] = []

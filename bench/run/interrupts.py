@@ -117,7 +117,7 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def _end_at_once(self, last_words: str) -> None:
-        with suppress(Exception):  # as above
+        with suppress(Exception):  # the terminal may be closed
             sys.stdout.flush()
             print(f"bench: {last_words}", file=sys.stderr, flush=True)
         self._end(NOT_DONE)

@@ -262,7 +262,7 @@ def _read_answer(line: bytes, number: int) -> LeftAnswer:
         return LeftAnswer("", beginning, WishAuthor(where="panel"), number, flaw)
 
 
-# --- the question that stands ------------------------------------------------------------------------
+# --- the open prompt ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -336,7 +336,7 @@ def open_prompt(events: Iterable[Event]) -> AskedPrompt | None:
     return found.prompt
 
 
-# --- what is wrong with an answer --------------------------------------------------------------------
+# --- faults of an answer -----------------------------------------------------------------------------
 
 
 def problem_with_answer(prompt: Prompt, text: str) -> str:

@@ -395,8 +395,8 @@ def take_up(
 ) -> None:
     """Restore the block's power state before step `first` of a resumed run.
 
-    The block was off if the record, the supply's state or the person says so. It is then warmed up anew, and
-    readings of a visit already begun continue as a new visit: `another_visit` receives the first of them.
+    The block is warmed up again if it was off (by the record, the supply's state or the person) or not yet warm.
+    If it was off during a visit, the visit's further readings form a new one; `another_visit` gets the first.
     """
     if not _on_at(plan, first):
         return

@@ -404,7 +404,7 @@ class Record:
     def whereabouts(self) -> Path | None:
         """Return the present folder of the record, which may have been renamed; None if it is not found.
 
-        The folder is recognized by its open file, searched at the old path and in the neighbouring folders.
+        The record's open file is compared with the files at the old path and in the neighbouring folders.
         """
         own = os.fstat(self._file.fileno())
         with suppress(OSError):

@@ -65,7 +65,7 @@ class People:
 
     `decider` is asked how to continue after an early sign; by default it is `person`. `asker` is the living
     person behind either of them, who may answer in more than one place. `patience` is the clock used during a
-    pause: civil time, not bench time. `hold_signals` keeps later signals from raising exceptions.
+    pause: real time, even if the bench is simulated. `hold_signals` keeps later signals from raising exceptions.
     """
 
     person: Person

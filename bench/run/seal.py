@@ -60,7 +60,7 @@ class Seal:
 
     @property
     def signed_bytes(self) -> bytes:
-        """The bytes to sign: all statements of the seal about the record, as canonical JSON."""
+        """The bytes to sign: a fixed prefix, and all statements of the seal about the record as JSON."""
         text = json.dumps(self._stated, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
         return _PREFIX + text.encode()
 

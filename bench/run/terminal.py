@@ -284,7 +284,7 @@ def _forget_typed_ahead(answers: TextIO) -> None:
         return
     try:
         import termios
-    except ImportError:  # no such terminals on this system
+    except ImportError:  # a system without POSIX terminals
         return
     termios.tcflush(answers.fileno(), termios.TCIFLUSH)
 

@@ -176,9 +176,9 @@ class Levelling:
         )
 
     def _read(self, level: interfaces.Level, key: str, *, turned: bool) -> Inclination:
-        """Return the level's reading; ask the person to place the level first if it reads itself.
+        """Return the level's reading; first ask the person to place the level, if it is electronic.
 
-        A bubble level is read by the person, and its own prompts say how to place it.
+        The prompts of a bubble level, which the person reads, also say how to place it.
         """
         if not level.asks_person:
             how = (
@@ -344,7 +344,7 @@ class Workbench:
         return Turned(_degrees(self._position.angle_rad), _degrees(step.target_rad))
 
     def do_level(self, step: Level) -> Levelled:
-        """Level the platform where the step asks for it, and read the level."""
+        """Level the platform if the step requires it, and measure its remaining tilt."""
         levelling = Levelling(self.instruments, self.person, self.bench.setting_u_rad, self._level_zero)
         found = levelling.carry_out(step)
         self._position, self._level_zero = levelling.position, levelling.zero
@@ -394,7 +394,7 @@ class Workbench:
         return air_c
 
     def _quick_signals(self) -> tuple[float, ...]:
-        """Return the present signals x, y, z, V in volts: the last of the shortest possible series of samples."""
+        """Return the present signals x, y, z in V: the last of the shortest possible series of samples."""
         self._configure(VoltmeterSettings(self.bench.range_v, QUICK_NPLC, self.bench.least_samples))
         samples = self._sample(self.instruments.voltmeters)
         return tuple(samples[channel][-1] for channel in CHANNELS)

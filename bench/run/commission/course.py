@@ -169,7 +169,7 @@ def _identities(evening: CommissioningSession) -> None:
     for instrument in evening.instruments.all():
         evening.carry_out(IDENTITY, instrument, partial(_who, evening, instrument))
     meters.check_settings(evening)
-    if not evening.simulated:  # simulated meters of a make have one serial number
+    if not evening.simulated:  # all simulated meters of a model have the same serial number
         _tell_twins(evening)
 
 
@@ -180,7 +180,7 @@ def _who(evening: CommissioningSession, instrument: Instrument) -> Finding:
 
 
 def _tell_twins(evening: CommissioningSession) -> None:
-    """Report voltmeters that state the same serial number."""
+    """Report instruments of one model that state the same serial number."""
     for words in same_serials(evening.identities):
         remedy = "compare the serial numbers with those on the instruments, and correct the addresses"
         evening.note(Finding(IDENTITY, BENCH, State.OTHER, words, remedy=remedy))
@@ -243,7 +243,7 @@ PARTS: Final = (
 def go_through(evening: CommissioningSession) -> None:
     """Carry out all parts that apply.
 
-    Raises `SessionEnded` where the person ends the session, and `KeyboardInterrupt`.
+    Raises `SessionEnded` if the person ends the session, and `KeyboardInterrupt`.
     """
     parts = [part for part in PARTS if part.applies(evening)]
     for number, part in enumerate(parts, start=1):

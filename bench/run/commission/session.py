@@ -87,7 +87,7 @@ class Finding:
 def status_of(findings: Sequence[Finding], *, whole: bool) -> int:
     """Return the exit status of a session with these findings; `whole` says whether it was completed.
 
-    It is 2 if the session was incomplete or a check could not be done, 1 after other deviations, otherwise 0.
+    The status is 2 if the session was incomplete or a check could not be done, 1 after other deviations, else 0.
     """
     if not whole or not findings:
         return NOT_DONE
@@ -166,7 +166,7 @@ class SessionEnded(Exception):
 
 
 class CheckEnded(Exception):
-    """A check ends early with this finding."""
+    """A check ends early; `finding` is its result."""
 
     def __init__(self, finding: Finding) -> None:
         super().__init__(finding.said)
