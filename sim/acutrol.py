@@ -1,7 +1,8 @@
 """A simulated rate table with an ACUTROL controller, on the head of the world.
 
 The words of a command may be abbreviated (`:M:P 1`). Each reply is an eight-character prefix with OK, ERR or a
-number. Source: the public ACUTROL client of the maker's robotics group, and its GPIB twin.
+number.
+Source: the public ACUTROL client of the maker's robotics group, and its GPIB twin.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class AcutrolTable(PlainDialect):
         self._mode = "off"
         self._demand_deg = {"position": 0.0, "rate": 0.0, "acceleration": 0.0}
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         """Answer one line; for several commands joined by `;` the reply is the last answer."""

@@ -2,8 +2,8 @@
 
 It accepts the commands of drivers and other clients. Every function can be set, queried and measured; readings are
 those of a meter with only a DC voltage at its terminals. Of the math operations it has only the average, which
-does not change readings. Calibration and the external trigger are not simulated. Source: 34401A User's Guide
-(34401-90004), chapters 3-5; chapter 8, specifications.
+does not change readings. Calibration and the external trigger are not simulated.
+Source: 34401A User's Guide (34401-90004), chapters 3-5; chapter 8, specifications.
 """
 
 from __future__ import annotations

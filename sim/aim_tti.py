@@ -2,8 +2,8 @@
 
 The commands of a message are separated by semicolons; each reply is a line of its own. A refused command shows
 only in the registers *ESR? and EER?. The simulation covers setting, protecting, switching and monitoring the
-outputs. The over-current trip accepts only its highest setting, at which it never trips. Sources: as in the facts;
-PL & PL-P Series Instruction Manual, "Remote commands".
+outputs. The over-current trip accepts only its highest setting, at which it never trips.
+Sources: as in the facts; PL & PL-P Series Instruction Manual, "Remote commands".
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class AimTti(PlainDialect):
             **dict.fromkeys(_ADDRESSES, lambda command: _ADDRESSES[command.name]),
         }  # fmt: skip
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         """Carry out a message; without mains there is no reply."""

@@ -49,7 +49,7 @@ class EspecP300(PlainDialect):
         self._mode = "STANDBY"
         self.alarms: tuple[int, ...] = ()
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         """Answer one command; every command has exactly one reply."""

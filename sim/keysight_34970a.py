@@ -103,7 +103,7 @@ class Keysight34970A(LineMeter):
         self.add(self._route_commands())
         self.add(self._system_commands())
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     @property
     def cycle(self) -> Scan:

@@ -173,7 +173,7 @@ class KeysightE36300(KeysightSupply):
     def _select(self, output: Value) -> None:
         self._select_number(float(str(output)))
 
-    # --- what it measures ---------------------------------------------------------------------------
+    # --- measurements -------------------------------------------------------------------------------
 
     def _volts(self, name: str) -> str:
         return shown_number(self._outputs.shown(name).voltage_v)

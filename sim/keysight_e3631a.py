@@ -114,7 +114,7 @@ class KeysightE3631A(KeysightSupply):
         if self._tracks:
             self._outputs.change("N25V", set_v=-self._outputs.stage("P25V").set_v)
 
-    # --- what it measures ---------------------------------------------------------------------------
+    # --- measurements -------------------------------------------------------------------------------
 
     def _measure_voltage(self, output: Value = "") -> str:
         return shown_number(self._outputs.shown(str(output or self._selected)).voltage_v)

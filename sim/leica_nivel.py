@@ -1,6 +1,6 @@
 """A simulated Leica Nivel210 or Nivel220 on the platform of the world.
 
-Source: NIVEL200 Technical Reference Manual 1.0. The real sensor returns the mean of one measurement per second
+ @@Source: NIVEL200 Technical Reference Manual 1.0. The real sensor returns the mean of one measurement per second
 since it was placed; here the noise stands for that of the mean and is drawn anew for each request. Adjustment and
 saving of parameters are not simulated.
 """
@@ -44,7 +44,7 @@ class LeicaNivel(PlainDialect):
         self.line_ends = LineEnds((b"\r\n",), frame=self._framed, clears=False)
         self.power_cycle()
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         """Answer a query block; commands, malformed blocks and blocks for another sensor have no reply."""
@@ -63,7 +63,7 @@ class LeicaNivel(PlainDialect):
     def _framed(said: bytes) -> bytes:
         return b"\x16\x02" + said + b"\x03" + (sum(said) & 0xFFFF).to_bytes(2, "big")
 
-    # --- what it is asked ---------------------------------------------------------------------------
+    # --- queries and commands -----------------------------------------------------------------------
 
     def _answer(self, command: str) -> str | None:
         asked = " ".join(command.split())

@@ -82,7 +82,7 @@ class Esp301(PlainDialect):
             "OR": self._home,
         }
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         """Carry out the commands of a line; the reply has one line for each query."""

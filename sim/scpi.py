@@ -84,7 +84,7 @@ class ScpiInstrument:
         """Add lines to the command table."""
         self._table.extend((notation_pattern(command.notation), command) for command in commands)
 
-    # --- what the wire calls ------------------------------------------------------------------------
+    # --- called by the wire -------------------------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:
         """Carry out one message (without its terminator) and return the reply line, or None if there is none.
@@ -117,7 +117,7 @@ class ScpiInstrument:
         self.status.power_cycle()
         self.reset()
 
-    # --- what an instrument overrides ---------------------------------------------------------------
+    # --- to be overridden by an instrument ----------------------------------------------------------
 
     def admit(self, command: Command) -> None:
         """Admit a command before its parameters are parsed: wait for a measurement, or raise `ScpiError`."""

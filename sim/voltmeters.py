@@ -341,7 +341,7 @@ class LineMeter(RemoteInstrument):
         super().__init__(identity, {**_ERRORS, **errors}, interface)
         self.add([Command("SYSTem:VERSion?", lambda: _SCPI_VERSION)])
 
-    # --- what a model says --------------------------------------------------------------------------
+    # --- defined by each model ----------------------------------------------------------------------
 
     @property
     @abstractmethod
@@ -353,7 +353,7 @@ class LineMeter(RemoteInstrument):
     def converters(self) -> Sequence[Converter]:
         """The converters, one for each input."""
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     def admit(self, command: Command) -> None:
         """Refuse a command that the interface does not allow; otherwise wait for a measurement in progress."""

@@ -73,7 +73,7 @@ class ZaberStage(PlainDialect):
             "warnings": self._tell_warnings,
         }
 
-    # --- what the wire and the bench do -------------------------------------------------------------
+    # --- called by the wire and the bench -----------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         """Answer one command line; a malformed line, or one for another device, has no reply."""

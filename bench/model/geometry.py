@@ -103,8 +103,8 @@ def specific_force_on_platform(angle_rad: Floats, stand_rad: Floats) -> Floats:
     """Return the specific force on the axes of the platform, with all stand angles applied, in g, shape (n, 3).
 
     `angle_rad` (n,) is the true angle of the head, including the setting error alpha4; `stand_rad` (n, 5) holds
-    the stand angles of each row in the order of `STAND_ANGLES`. Source: paper (3)-(4) in exact form; the paper's
-    equations are its first order in the angles.
+    the stand angles of each row in the order of `STAND_ANGLES`.
+    Source: paper (3)-(4) in exact form; the paper's equations are its first order in the angles.
     """
     tilt, offset, yaw, pitch, roll = stand_rad.T
     turned = angle_rad + offset + pitch
@@ -205,8 +205,8 @@ class Block:
 class Distribution:
     """The distribution of a bench error with zero mean, in SI units.
 
-    `limit` is the half-width of a rectangular distribution, or `k` standard deviations of a normal one. Source:
-    JCGM 100:2008, 4.3.4-4.3.7.
+    `limit` is the half-width of a rectangular distribution, or `k` standard deviations of a normal one.
+    Source: JCGM 100:2008, 4.3.4-4.3.7.
     """
 
     limit: float

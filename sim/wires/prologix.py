@@ -2,8 +2,8 @@
 
 The adapter is a dialect, served like an instrument on its own port. It passes each line to the instrument at the
 address it is set to. On a read command it returns that instrument's reply, if the reply is ready within the
-timeout of at most 3 s. Source: Prologix GPIB-ETHERNET Controller User Manual, chapters 7 "Data Transmission" and 8
-"Commands".
+timeout of at most 3 s.
+Source: Prologix GPIB-ETHERNET Controller User Manual, chapters 7 "Data Transmission" and 8 "Commands".
 """
 
 from __future__ import annotations
@@ -199,7 +199,7 @@ class GpibAdapter(PlainDialect):
         self.settings = replace(self._saved)
         self._half = b""
 
-    # --- what the wire calls ------------------------------------------------------------------------
+    # --- called by the wire -------------------------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:
         """Process one line, a command to the adapter (++) or data for the bus; return the reply or None."""

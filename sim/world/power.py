@@ -167,7 +167,7 @@ class Power:
         self._coming: list[tuple[float, Callable[[], None]]] = []
         self._cut_until_s = -math.inf
 
-    # --- what is done to it -------------------------------------------------------------------------
+    # --- actions and disturbances -------------------------------------------------------------------
 
     def change(self, output: str, now_s: float, **changes: object) -> None:
         """Change the fields `changes` of an output's `OutputPhase` from now on."""
@@ -206,7 +206,7 @@ class Power:
             if disturbance.kind != "off" and math.isfinite(end):
                 self._at(end, partial(self._change, name, end, **undisturbed[disturbance.kind]))
 
-    # --- what is true -------------------------------------------------------------------------------
+    # --- true state ---------------------------------------------------------------------------------
 
     def outputs(self) -> tuple[str, ...]:
         """Return the names of the outputs that feed a rail."""
@@ -262,7 +262,7 @@ class Power:
         """The times at which the block gained (True) or lost (False) power, beginning with a False entry."""
         return tuple(self._lives)
 
-    # --- time goes on -------------------------------------------------------------------------------
+    # --- advance of time ----------------------------------------------------------------------------
 
     def advance(self, now_s: float) -> None:
         """Carry out the disturbances and trips up to now. The caller must hold the lock."""
@@ -341,7 +341,7 @@ class Power:
             begin_s, end_s = (begin_s, middle_s) if beyond(middle_s) else (middle_s, end_s)
         return end_s
 
-    # --- how it is at a time ------------------------------------------------------------------------
+    # --- state at a time ----------------------------------------------------------------------------
 
     def _is_alive(self, alive: bool, time_s: float) -> bool:
         return self._alive(time_s) == alive

@@ -231,7 +231,7 @@ class World(KeyedNumbers):
             )
         return self._stands_rad[place]
 
-    # --- what is done to the bench ------------------------------------------------------------------
+    # --- actions on the bench -----------------------------------------------------------------------
 
     def mount(self, installation: str, series: int = 1) -> None:
         """Mount the block; the stand angles depend only on the seed, the series and the installation.
@@ -391,7 +391,7 @@ class World(KeyedNumbers):
             known_c = self.block_c_at(time_s) if block_c is None else block_c
             self._read.append(Visit(replace(pose, input_v=input_v), time_s, elapsed_s, known_c, scan))
 
-    # --- what is true -------------------------------------------------------------------------------
+    # --- true state ---------------------------------------------------------------------------------
 
     @property
     def installation(self) -> str:
