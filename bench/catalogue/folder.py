@@ -389,7 +389,7 @@ def _bench_of(folder: Path) -> tuple[BenchFile | None, str | None]:
 
 @lru_cache(maxsize=4096)
 def _loaded(digest: str, file: str) -> BenchFile | None:
-    """Return a bench file, read once for all runs that recorded an identical one."""
+    """Return a bench file, cached by its SHA-256 (`digest`); None if it cannot be used."""
     try:
         return load_recorded_bench(Path(file))
     except (FileMistakes, OSError):

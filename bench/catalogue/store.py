@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from sqlalchemy import ColumnElement, Connection, Engine
 
 SCHEMA: Final = 4
-"""Version of the tables below. Every change of them increments it; an older catalogue is then rebuilt."""
+"""Version of the tables below. Increment it with every change of them; older catalogues are then rebuilt."""
 
 METADATA: Final = MetaData()
 
@@ -105,7 +105,7 @@ INSTRUMENTS: Final = Table(
     Column("driver", Text),
     Column("serial", Text, index=True),
 )
-"""Instruments: `name` is maker, model and serial number if known, else the answer and the address."""
+"""Instruments: `name` is maker, model and serial number if known, else the reported identity and the address."""
 
 CERTIFICATES: Final = Table(
     "certificates",
@@ -129,7 +129,7 @@ USES: Final = Table(
     Column("answered", Text),
     Column("resource", Text),
 )
-"""Uses: run, instrument, role (`voltmeter.x`, `head` …), certificate, and the instrument's answer."""
+"""Uses: run, instrument, role (`voltmeter.x`, `head` …), certificate, and the reported identity (`answered`)."""
 
 CALIBRATIONS: Final = Table(
     "calibrations",
@@ -230,7 +230,7 @@ def key_of(*words: str) -> int:
 # --- the database -------------------------------------------------------------------------------------
 
 REGISTER: Final = "register.jsonl"
-"""The register of a folder of issued certificates."""
+"""Name of the register file in a folder of issued certificates."""
 
 VARIABLE: Final = "TRIAXIAL_BENCH_CATALOGUE"
 FILE: Final = "catalogue.sqlite"

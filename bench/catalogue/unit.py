@@ -269,7 +269,7 @@ def _rows(table: CoefficientTable, mask: Mask) -> CoefficientTable:
 
 
 def _per_g(table: CoefficientTable, g_m_s2: float) -> CoefficientTable:
-    """Return the calibrations per another local gravity; scale factors per m/s² stay the same."""
+    """Return the calibrations for another unit of acceleration, g = `g_m_s2` (m/s²); biases stay the same."""
     factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / table.g_m_s2[:, None], 1.0)
     return replace(
         table,

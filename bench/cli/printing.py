@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 def console(*, json: str | None = None) -> Console:
     """Return the console for results; wide enough that no table is cut when the output is a file.
 
-    Where `json` goes to standard output ("-"), what is written for a person goes to standard error.
+    If the JSON result goes to standard output (`json` is "-"), the console prints on standard error.
     """
     from bench.base.tables import WIDTH, Screen
 
@@ -69,7 +69,7 @@ def notes_on(out: Console, notes: Iterable[str]) -> None:
 
 
 def write_json(results: list[dict[str, Any]], target: str | None) -> None:
-    """Write one result, or a list of several in the order of the sources, to a file or standard output."""
+    """Write one result, or a list of several, to the file `target`; "-" is standard output, None writes nothing."""
     from bench.base.files import to_text, write_whole
 
     if target is None:

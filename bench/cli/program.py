@@ -9,7 +9,7 @@ import signal
 import sys
 from contextlib import suppress
 
-TYPE_CHECKING = False  # as in `bench`
+TYPE_CHECKING = False  # the import of typing would delay the handling of Ctrl-C
 if TYPE_CHECKING:
     from types import FrameType
 
@@ -24,7 +24,7 @@ def main() -> None:
     those that arrive while the message is printed are ignored. Code that must leave a bench safe handles signals
     itself (`bench.run.interrupts`).
     """
-    gc.set_threshold(50_000, 20, 20)  # else collection during imports takes a tenth of a short command
+    gc.set_threshold(50_000, 20, 20)  # garbage collection in imports would take a tenth of a short command
     try:
         try:
             signal.signal(signal.SIGINT, _once)

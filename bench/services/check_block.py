@@ -67,7 +67,7 @@ class CheckValues:
     s_dof: float
 
     def per(self, g_m_s2: float) -> CheckValues:
-        """Return the values with scale factors per another local gravity; per m/s² they stay the same."""
+        """Return the values for another unit of acceleration, g = `g_m_s2` (m/s²); biases stay the same."""
         factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / self.g_m_s2, 1.0)
         both = np.outer(factor, factor)
         return replace(

@@ -165,7 +165,7 @@ def _text(value: object) -> str:
 
 
 def _positive(value: object) -> float:
-    """Return a number that a result states, 0 where it states none."""
+    """Return a number of a result, negative ones as 0; 0 for anything that is no number."""
     try:
         return max(_number(value), 0.0)
     except ValueError:
@@ -217,7 +217,7 @@ def _block_terms(data: Any, where: str) -> Floats | None:
 
 
 def _wander(data: Any) -> Floats | None:
-    """Return how far the biases may wander during a run (3,); None where the result does not say."""
+    """Return the limits of the bias wander during a run (3,); None if the result does not state them."""
     stated = data["noise"].get("wander")
     return np.array([_positive(stated.get(c)) for c in CHANNELS]) if isinstance(stated, dict) else None
 
@@ -389,7 +389,7 @@ def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
 def write_form(
     result: BlockResult, path: Path, form: str, nominal: tuple[float, float, float] | None
 ) -> tuple[str, ...]:
-    """Write one form to a file; return what it cannot hold. Raises `Refused`, `OSError`."""
+    """Write a result in one form to a file; return what the form cannot hold. Raises `Refused`, `OSError`."""
     from bench.exchange.forms import FORMS
 
     if form not in FORMS:

@@ -79,7 +79,7 @@ class _Result(ABC):
 
     @property
     def bench(self) -> str:
-        """The bench file that gave the errors of the stand and gravity, and the reason for it."""
+        """The name of the bench file used for the errors of the stand and gravity, with the reason for it."""
         return self.source.taken.words
 
     @property
@@ -172,7 +172,7 @@ class MistakesResult(_Result):
 
 @dataclass(frozen=True, repr=False)
 class DiagnosisResult(_WithPage):
-    """Where readings and model disagree, what is missing, and how far the gap closes with it.
+    """Where readings and model disagree, what is missing, and how far it closes the gap.
 
     result = bench.diagnose("unit-17")
     result.write_model("found.yaml")
@@ -427,7 +427,7 @@ def _by_unused_name(path: Path, write: Callable[[Path], None]) -> Path:
 def _write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
     """Write the copy in which mistakes are corrected, and its origin file beside it.
 
-    Reading the copy with the same bench file gives exactly the readings that were searched.
+    The copy is uncorrected by certificates; reading it with the same bench file gives exactly `corrected`.
     """
     source = body.source
     content = format_csv(as_read(corrected, source.traced.by))

@@ -1,4 +1,4 @@
-"""Refused requests, errors in words for a person, and options that are quantities."""
+"""Refused requests, error messages for the user, and options with units."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _OPTION: Final = re.compile(r"--([a-z][a-z-]*)( (?=[0-9.-]))?")
 
 
 class Refused(Exception):
-    """Raised for a request that cannot be carried out; the text says why, and what to do.
+    """Raised for a request that cannot be carried out; the text states the reason and the remedy.
 
-    `typed` is the text for the command line, with options such as --g 9.81 where Python has g=9.81.
+    `typed` is the text with options as on the command line (--g 9.81); `str` gives them as in Python (g=9.81).
     """
 
     def __init__(self, typed: str) -> None:

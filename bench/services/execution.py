@@ -543,7 +543,7 @@ def _lacks_results(run: Run, state: RunState | None) -> bool:
 
 
 def _idle_at(run: Run, digests: Digests) -> RunState | None:
-    """Return the state of a run begun here that no program is carrying out; None for any other run."""
+    """Return the state of a run that no program is carrying out; None for any other or an imported run."""
     try:
         state = None if run.imported else digests.of(run).state
     except (RecordError, ValueError):

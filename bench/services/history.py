@@ -1,4 +1,4 @@
-"""Evaluations of many runs: of one bench, of one block over time; and of noise at rest."""
+"""Evaluations of many runs of one bench, of one block over time, and of noise at rest."""
 
 from __future__ import annotations
 
@@ -192,7 +192,7 @@ class LearningResult:
         print_learned(self.learned, self.result, out)
 
     def __repr__(self) -> str:
-        """Return what `bench learn` prints."""
+        """Return the output of `bench learn`."""
         return as_text(self.print_on)
 
 
@@ -419,11 +419,11 @@ class ComparisonResult:
         return self.result.to_dict()
 
     def __repr__(self) -> str:
-        """Return what `bench compare` prints."""
+        """Return the output of `bench compare`."""
         return as_text(lambda out: print_compare(self.result, out))
 
     def files(self, folder: Path) -> Files:
-        """Yield what `bench compare --out` writes."""
+        """Yield the files that `bench compare --out` writes into a folder."""
         yield "result", folder / "compare.json", to_text(self.result.to_dict())
         yield "figure", folder / "compare.svg", history_figure(self.found)
 
@@ -493,7 +493,7 @@ class RecordAtRest:
         return self.result.to_dict()
 
     def __repr__(self) -> str:
-        """Return what `bench stability` prints."""
+        """Return the output of `bench stability`."""
         return as_text(lambda out: print_stability(self.found, out))
 
     def files(self, out: Path | None) -> Files:

@@ -494,7 +494,7 @@ def _alternatives(asked: Requirement, bench: BenchFile, plan: Plan) -> Iterator[
 def _alternative(
     asked: Requirement, dominant: ErrorSource, plan: Plan, bench: BenchFile
 ) -> Iterator[AlternativePart]:
-    """Yield the result of an alternative; nothing where the estimator cannot use such readings."""
+    """Yield the result of an alternative, or nothing if its estimator cannot use the readings."""
     try:
         reached, limit = asked.reached(), asked.alone(dominant)
     except CalibrationError:

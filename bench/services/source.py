@@ -378,7 +378,7 @@ def _of_model_file(
 
 
 def _run_of(name: str, runs: Path) -> Run | None:
-    """Return the run of this name; None for a readings file. Raises `Refused` for a missing readings file."""
+    """Return the run of this name; None for a readings file. Raises `Refused` if that does not exist."""
     path = Path(name)
     if path.is_file() and path.name != MANIFEST:
         return None
@@ -443,7 +443,7 @@ def each(loaded: Sequence[Source | Failed], work: Callable[[Source], R]) -> list
 
 
 def done(results: Iterable[T | Failed]) -> list[T]:
-    """Return the results that are no `Failed`."""
+    """Return the results without the `Failed` ones."""
     return [one for one in results if not isinstance(one, Failed)]
 
 

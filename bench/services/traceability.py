@@ -40,10 +40,9 @@ _NOTHING: Final = "it states no correction"
 class Traced:
     """The certificates of a bench for readings of a day, and the corrections of the readings.
 
-    Each entry is a certificate with the reason why it corrects nothing, empty where it does. `recorded` says
-    whether a run recorded the readings; other readings are assumed to be as the instruments showed them. `by`
-    are the corrections added to the readings; `by_certificates` is the part by certificates, the rest was
-    learned.
+    Each entry is a certificate with the reason why it corrects nothing, empty if it does correct. `recorded` says
+    whether a run recorded the readings; other readings are assumed to be as the instruments showed them. `by` are
+    all corrections of the readings, `by_certificates` those from certificates; the rest was learned.
     """
 
     day: datetime.date
@@ -122,7 +121,10 @@ def _day(origin: Origin | None) -> datetime.date:
 
 
 def _answered(bench: BenchFile, origin: Origin | None) -> dict[str, str]:
-    """Return the serial numbers of the instruments by name; without a recorded one, that found in the identity."""
+    """Return the serial numbers that the instruments reported, by name; none for a simulated run.
+
+    A serial number that was not recorded is the certificate's, if the recorded identity contains it.
+    """
     if origin is None or origin.simulated:
         return {}
     stated = {s.name: s.certificate.serial for s in bench.instruments.all() if s.certificate is not None}

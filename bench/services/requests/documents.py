@@ -156,7 +156,7 @@ class BatchDiagnose(Batch):
 
 @dataclass(frozen=True, kw_only=True)
 class BatchReport(Batch):
-    """Pages of many runs, in the folder of the batch."""
+    """Reports of many runs, written into the folder of the batch."""
 
     limit: LimitField = None
     rule: RuleField = None
