@@ -219,7 +219,7 @@ class SimulatedBench:
 
 
 def _as_it_is(instrument: ScpiInstrument, clock: Clock) -> ScpiInstrument:
-    """Return the instrument unchanged; as a factory for instruments whose commands take no time."""
+    """Return the instrument unchanged and ignore `clock`, for instruments whose commands take no time."""
     return instrument
 
 

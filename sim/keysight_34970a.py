@@ -107,7 +107,7 @@ class Keysight34970A(LineMeter):
 
     @property
     def cycle(self) -> Scan:
-        """The scan."""
+        """The scan, which is the meter's trigger system."""
         return self.scan
 
     @property
@@ -329,7 +329,7 @@ def _set_autorange(channel: ChannelConfiguration, flag: Value) -> None:
 
 
 def _set_autozero(channel: ChannelConfiguration, flag: Value) -> None:
-    # ONCE takes one zero reading and then leaves autozero off.
+    # ONCE takes one zero reading and then switches autozero off.
     channel.autozero = flag == "1"
 
 
@@ -380,7 +380,7 @@ class Probe:
         return self._world.settings.ambient_c
 
     def signal_v(self, time_s: float | None = None) -> float:
-        """Return the voltage at the channel, V."""
+        """Return 0 V: to a voltmeter the sensor is a short."""
         return 0.0
 
     def new_reading(self) -> None:

@@ -176,7 +176,7 @@ class ChannelConfiguration:
         self.settings.resolution = fraction
 
     def measure_temperature(self, transducer: Transducer) -> None:
-        """CONFigure:TEMPerature."""
+        """CONFigure:TEMPerature: preset the channel and set its sensor."""
         self.preset()
         self.transducer = transducer
 
@@ -215,7 +215,7 @@ class CardInput:
         return self._common.temperature_c
 
     def signal_v(self, time_s: float | None = None) -> float:
-        """Return the voltage at the channel, V."""
+        """Return the voltage at the channel at `time_s` of the clock (default: now), V; 0 if nothing is wired."""
         return 0.0 if self._wired is None else self._wired.signal_v(time_s)
 
     def shown_c(self, configured: str, time_s: float) -> float:

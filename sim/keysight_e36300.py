@@ -45,7 +45,7 @@ class KeysightE36300(KeysightSupply):
         self.report(-223)
 
     def reset(self) -> None:
-        """Carry out *RST."""
+        """*RST: as the base class; also reset the delays of the over-current protection."""
         self._delays_s = {}
         super().reset()
 

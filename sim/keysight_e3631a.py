@@ -39,7 +39,7 @@ class KeysightE3631A(KeysightSupply):
         return {"set_v": 0.0, "limit_a": facts.DEFAULT_CURRENT_A[name], "trip_v": None, "trip_after_s": None}
 
     def reset(self) -> None:
-        """Carry out *RST."""
+        """*RST: as the base class; also leave track mode and switch the display on."""
         self._tracks, self.display_on = False, True
         super().reset()
 

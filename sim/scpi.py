@@ -120,10 +120,10 @@ class ScpiInstrument:
     # --- to be overridden by an instrument ----------------------------------------------------------
 
     def admit(self, command: Command) -> None:
-        """Admit a command before its parameters are parsed: wait for a measurement, or raise `ScpiError`."""
+        """Called before a command's parameters are parsed: wait for a measurement, or raise `ScpiError`."""
 
     def reset(self) -> None:
-        """Carry out *RST."""
+        """Carry out *RST; a subclass resets its settings."""
 
     def self_test(self) -> int:
         """Carry out *TST? and return 0 (passed) or 1."""

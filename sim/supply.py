@@ -144,7 +144,7 @@ class KeysightSupply(RemoteInstrument):
         return super().handle(message, interrupted) if self._outputs.has_mains else None
 
     def reset(self) -> None:
-        """Carry out *RST."""
+        """*RST: select the first output, clear the display text, switch all outputs off and preset them."""
         self._selected, self._text = self._outputs.names[0], ""
         self._outputs.reset()
 

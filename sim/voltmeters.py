@@ -165,7 +165,7 @@ class Measurement(Protocol):
 
     @property
     def autozero(self) -> bool:
-        """Whether the zero is measured with each sample."""
+        """Whether the zero is measured together with each sample."""
 
     @property
     def bandwidth_hz(self) -> float:
@@ -325,7 +325,7 @@ def reading_text(value: float, step: float) -> str:
 # --- the line ---------------------------------------------------------------------------------------
 
 VOLT_OVERLOAD: Final = 1
-"""The bit of the questionable data register."""
+"""The bit for a voltage overload in the questionable data register."""
 
 _ERRORS: Final = {522: "Output buffer overflow", 532: "Cannot achieve requested resolution"}
 _SCPI_VERSION: Final = "1994.0"

@@ -37,7 +37,7 @@ class ForwardModel:
     ) -> Floats:
         """Return the specific force on block axes in g, shape (n, 3).
 
-        `stand_rad` (mounts, 5) has a row for each of `conditions.mounts`, columns as `STAND_ANGLES`;
+        `stand_rad` (mounts, 5) holds the stand angles of each of `conditions.mounts`, columns as `STAND_ANGLES`.
         `setting_error_rad` is alpha4 of each reading. Raises `KeyError` for an unknown installation.
         """
         unknown = {mount.installation for mount in conditions.mounts} - set(self.installations)

@@ -39,7 +39,10 @@ def within_half_turn(angle_rad: Floats) -> Floats:
 
 
 def frame_rotation(axis: str, angle_rad: float) -> Floats:
-    """Return the 3x3 matrix to components in a frame rotated by `angle_rad` about x, y or z."""
+    """Return the 3x3 matrix that transforms components to a frame rotated by `angle_rad` about `axis`.
+
+    Raises `ValueError` for an `axis` other than "x", "y" or "z".
+    """
     s, c = np.sin(angle_rad), np.cos(angle_rad)
     match axis:
         case "x":
@@ -219,7 +222,7 @@ class Distribution:
         return self.limit / (self.k if self.shape == "normal" else float(np.sqrt(3.0)))
 
     def draw(self, rng: np.random.Generator) -> float:
-        """Draw one value."""
+        """Return one random value, in the unit of `limit`."""
         if self.shape == "normal":
             return float(rng.normal(0.0, self.u))
         return float(rng.uniform(-self.limit, self.limit))

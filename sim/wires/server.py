@@ -65,8 +65,8 @@ class TcpTransport:
         self._socket.close()
 
     def _acknowledge_quickly(self) -> None:
-        # A client that has left Nagle's algorithm on waits for our acknowledgement before it sends its next
-        # command; Linux forgets the option with each use, other systems do not have it.
+        # A client with Nagle's algorithm waits for our acknowledgement before it sends its next command. Linux
+        # resets this option at each use; other systems do not have it.
         option = getattr(socket, "TCP_QUICKACK", None)
         if option is not None:
             with contextlib.suppress(OSError):
@@ -178,7 +178,7 @@ class TcpServer(InstrumentServer):
         listener, self._listener = self._listener, None
         if listener is None:
             return
-        # Closing does not wake a thread in accept() on every system; a connection of our own does.
+        # On some systems closing does not wake a thread in accept(), but a connection does.
         with contextlib.suppress(OSError), socket.create_connection((self.host, self.port), timeout=1.0):
             pass
         if self._accepting is not None and self._accepting is not threading.current_thread():
@@ -191,7 +191,7 @@ class TcpServer(InstrumentServer):
             self.start()
 
     def _try_again(self) -> None:
-        with contextlib.suppress(OSError):  # the port went to somebody else: it stays refused
+        with contextlib.suppress(OSError):  # another program took the port: it stays refused
             self.accept_again()
 
     def _accept(self, listener: socket.socket) -> None:
@@ -314,7 +314,7 @@ class TerminalServer(InstrumentServer):
 
     def start(self) -> None:
         """Open a pseudo-terminal and serve it. Raises `OSError` if the system provides none."""
-        import tty  # a system without terminals has no such module
+        import tty  # here, because systems without terminals lack this module
 
         self._master, self._slave = os.openpty()
         # Our own descriptor of the slave keeps the terminal alive between clients. Without raw mode it would

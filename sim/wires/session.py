@@ -21,7 +21,7 @@ _SETTLE_LOOK_S: Final = 0.001
 
 
 class Doing(Enum):
-    """The present activity of a session, for `Traffic`."""
+    """The activity of a session, as recorded in `Traffic`."""
 
     LISTENING = "waiting for input"
     WORKING = "carrying out a message"

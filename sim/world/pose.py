@@ -70,7 +70,7 @@ def switched_on_since(
     """
     read_s = [visit.time_s for visit in visits if visit.pose.stand_rad is pose.stand_rad]
     on_s = [at_s for at_s, on in switchings if on and read_s and read_s[0] < at_s <= time_s]
-    # switched twice before it is read again is one visit
+    # power cycles without a reading between them count once
     return len({bisect_right(on_s, at_s) for at_s in (*read_s, time_s)} - {0}) if on_s else 0
 
 
@@ -212,6 +212,6 @@ def platform_tilt_rad(visit: Visit, model: ForwardModel) -> dict[LevelAxis, floa
         temperature_c=[visit.block_c],
     )
     stand_rad = pose.stand_rad.copy()[None]
-    stand_rad[:, 2:] = 0.0  # the angles at which the block is mounted
+    stand_rad[:, 2:] = 0.0  # without the mounting angles of the block
     x, y, _ = bare.specific_force(conditions, stand_rad, _BLOCK, pose.setting_error_rad)[0]
     return {"along": math.asin(y), "across": math.asin(x)}

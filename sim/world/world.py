@@ -300,9 +300,9 @@ class World(KeyedNumbers):
         self._poses.append(replace(self._poses[-1], since_s=self.clock.now_s(), **changes))
 
     def select_input(self, source: str, reference_v: float | None = None) -> None:
-        """Switch all three meters to the block's "signal", to a "short", or to a "reference" of `reference_v`, V.
+        """Switch all three meters to the block's "signal", a "short", or a "reference" of `reference_v`, V.
 
-        Raises `ValueError` for another source, or a reference without its voltage.
+        Raises `ValueError` for another source, or for a reference without a voltage.
         """
         inputs = {"signal": None, "short": 0.0, "reference": reference_v}
         if source not in inputs:
@@ -314,7 +314,7 @@ class World(KeyedNumbers):
             self._pose_on(input_v=input_v)
 
     def set_chamber(self, target_c: float) -> None:
-        """Set the air of the chamber to a temperature, at once, °C; the block follows with its lag."""
+        """Set the chamber air to a temperature at once, °C; the block follows with its lag."""
         with self._lock:
             self._chamber_demand_c = None
             self._heat.set_air(self.clock.now_s(), target_c)
@@ -472,7 +472,7 @@ class World(KeyedNumbers):
             pose = self._poses[max(0, bisect_right(self._poses, at_s, key=lambda p: p.since_s) - 1)]
             if pose.input_v is None and not self.power.feeds_block(self._past_s(at_s)):
                 return dead_v(self.settings.power, self, channel, at_s) + self._voltmeter_error_v[channel]
-            # Without effects the output at rest depends on the pose alone; an effect may look at time and heat.
+            # Without effects the signal at rest depends only on the pose; effects may depend on the time.
             at_rest = at_s >= pose.turn.arrives_s and not self.settings.model.effects
             key = id(pose) if at_rest else (id(pose), at_s, self._scan(pose))
             signals = self._signals.get(key)

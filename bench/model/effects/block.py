@@ -1,4 +1,7 @@
-"""Effects in the block: nonlinearity, hysteresis, temperature, supply."""
+"""Effects in the block: nonlinearity, hysteresis, temperature, supply.
+
+In the formulas a_i is the specific force in g on the axis of channel i, K_ii its scale factor, and t a time.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +24,12 @@ def _size(name: str, unit: str, plausible: float) -> Parameter:
 
 
 def _others(force: Floats) -> tuple[Floats, Floats]:
-    """Return a_j and a_k of each channel, (n, 3) each."""
+    """Return the specific forces a_j and a_k on the two other axes of each channel, shape (n, 3) each."""
     return np.roll(force, -1, axis=1), np.roll(force, -2, axis=1)
 
 
 class QuadraticNonlinearity(BlockEffect):
-    """K2 a_i^2: the output contains the square of the input along the channel's own axis."""
+    """Quadratic nonlinearity K2 a_i^2."""
 
     name = "quadratic_nonlinearity"
     parameters = (_size("K2", "ug/g^2", 30e-6),)
@@ -39,7 +42,7 @@ class QuadraticNonlinearity(BlockEffect):
 
 
 class CubicNonlinearity(BlockEffect):
-    """K3 a_i^3."""
+    """Cubic nonlinearity K3 a_i^3."""
 
     name = "cubic_nonlinearity"
     parameters = (_size("K3", "ug/g^3", 20e-6),)
@@ -54,7 +57,7 @@ class CubicNonlinearity(BlockEffect):
 
 
 class OddQuadraticNonlinearity(BlockEffect):
-    """Koq a_i |a_i|."""
+    """Odd quadratic nonlinearity Koq a_i |a_i|."""
 
     name = "odd_quadratic_nonlinearity"
     parameters = (_size("Koq", "ug/g^2", 20e-6),)
@@ -67,7 +70,7 @@ class OddQuadraticNonlinearity(BlockEffect):
 
 
 class ScaleAsymmetry(BlockEffect):
-    """Kabs |a_i|: the scale factor differs between positive and negative input."""
+    """Asymmetry Kabs |a_i|: the scale factor differs between positive and negative input."""
 
     name = "scale_asymmetry"
     parameters = (_size("Kabs", "ug/g", 30e-6),)
@@ -80,7 +83,7 @@ class ScaleAsymmetry(BlockEffect):
 
 
 class CrossCoupling(BlockEffect):
-    """Kip a_i a_j + Kio a_i a_k + Kpo a_j a_k."""
+    """Products of the forces on two axes: Kip a_i a_j + Kio a_i a_k + Kpo a_j a_k."""
 
     name = "cross_coupling"
     parameters = tuple(_size(name, "ug/g^2", 20e-6) for name in ("Kip", "Kio", "Kpo"))
@@ -97,7 +100,7 @@ class CrossCoupling(BlockEffect):
 
 
 class CrossQuadratic(BlockEffect):
-    """Kpp a_j^2 + Koo a_k^2."""
+    """Squares of the forces across the channel's axis: Kpp a_j^2 + Koo a_k^2."""
 
     name = "cross_quadratic"
     parameters = tuple(_size(name, "ug/g^2", 20e-6) for name in ("Kpp", "Koo"))
@@ -237,7 +240,7 @@ def _lag(*minutes: int) -> Parameter:
 
 
 class ThermalBias(BlockEffect):
-    """b_T T, where T is the temperature minus the reference after a first-order lag."""
+    """Bias b_T T, where T is the temperature minus the reference after a first-order lag."""
 
     name = "thermal_bias"
     parameters = (Parameter("b_T", "ug/K", 1e-6, plausible=60e-6, per_channel=True), _lag(5, 10, 20, 30))
@@ -252,7 +255,7 @@ class ThermalBias(BlockEffect):
 
 
 class ThermalScale(BlockEffect):
-    """k_T T K_ii a_i, where T is the temperature minus the reference after a first-order lag."""
+    """Scale-factor change k_T T K_ii a_i, T the temperature minus the reference after a first-order lag."""
 
     name = "thermal_scale"
     parameters = (Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True), _lag(5, 10, 20))
@@ -267,7 +270,7 @@ class ThermalScale(BlockEffect):
 
 
 class WarmUp(BlockEffect):
-    """A exp(-t / tau), t since the unit was switched on or, if unknown, since the start of the run."""
+    """Decaying bias A exp(-t / tau), t since switch-on of the unit or, if unknown, since the start of the run."""
 
     name = "warm_up"
     parameters = (
@@ -287,7 +290,7 @@ class WarmUp(BlockEffect):
 
 
 class BiasDrift(BlockEffect):
-    """r t, t since the start of the run."""
+    """Linear drift of the bias, r t, t since the start of the run."""
 
     name = "bias_drift"
     parameters = (Parameter("rate", "ug/h", 1e-6 / HOUR, plausible=30e-6 / HOUR, per_channel=True),)
@@ -300,7 +303,7 @@ class BiasDrift(BlockEffect):
 
 
 class ScaleDrift(BlockEffect):
-    """r t K_ii a_i, t since the start of the run."""
+    """Linear drift of the scale factor, r t K_ii a_i, t since the start of the run."""
 
     name = "scale_drift"
     parameters = (Parameter("rate", "ppm/h", 1e-6 / HOUR, plausible=20e-6 / HOUR, per_channel=True),)
@@ -345,7 +348,7 @@ class ScaleStep(BlockEffect):
 
 
 class ThermalSettling(BlockEffect):
-    """A exp(-t / tau), t since the first reading of each mounting."""
+    """Decaying bias A exp(-t / tau), t since the first reading of each mounting."""
 
     name = "thermal_settling"
     parameters = (
@@ -376,7 +379,7 @@ MOST_RAILS: Final = 3
 
 
 class SupplySensitivity(BlockEffect):
-    """(b_S + k_S a_i) v, where v is the voltage of a supply rail minus its nominal voltage."""
+    """Bias and scale-factor change (b_S + k_S a_i) v, v the voltage of a supply rail minus its nominal voltage."""
 
     name = "supply_sensitivity"
     parameters = (

@@ -145,7 +145,7 @@ class Backlash(HeadEffect):
     shown_by = "both directions of approach"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return d b / 2 in rad, shape (n,)."""
+        """Return d b / 2 in rad, shape (n,), where d is the direction of approach: +1, -1, or 0 if unknown."""
         return seen.conditions.direction * values["play"] / 2
 
 
@@ -226,7 +226,7 @@ class BlockSlip(StandEffect):
     per_pass = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the angles in their columns, rad, shape (n, 5)."""
+        """Return the change of each mounting angle in its column, rad, shape (n, 5)."""
         parts = [into(column, values[column], seen.signal) for column in MOUNTING_ANGLES]
         return np.asarray(np.sum(parts, axis=0))
 
@@ -269,7 +269,7 @@ class HeadZeroShift(HeadEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the angle in rad, shape (n,)."""
+        """Return the shift of every scale reading in rad, shape (n,)."""
         return np.broadcast_to(values["angle"], len(seen.conditions))
 
 

@@ -17,7 +17,7 @@ LOW_RANGE_V: Final = 1.2
 
 
 class VoltmeterNonlinearity(VoltmeterEffect):
-    """q2 (U / 2.5 V)^2 + q3 (U / 2.5 V)^3, common to all channels."""
+    """Nonlinearity q2 (U / 2.5 V)^2 + q3 (U / 2.5 V)^3, common to all channels."""
 
     name = "voltmeter_nonlinearity"
     parameters = tuple(Parameter(name, "uV", 1e-6, 10e-6, per_channel=False) for name in ("q2", "q3"))
@@ -44,7 +44,7 @@ class VoltmeterDrift(VoltmeterEffect):
 
 
 class VoltmeterWarmUp(VoltmeterEffect):
-    """A exp(-t / tau), common to all channels; t since the start of the run."""
+    """Decaying zero A exp(-t / tau), common to all channels; t since the start of the run."""
 
     name = "voltmeter_warm_up"
     parameters = (
@@ -77,7 +77,7 @@ class RangeOffset(VoltmeterEffect):
     shown_by = "a fixed range; a reference voltage below 1.2 V, read on both ranges"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return offset + gain U in volts where |U| < 1.2 V, shape (n, 3)."""
+        """Return offset + gain U in volts where |U| < 1.2 V, else zero, shape (n, 3)."""
         return np.where(
             np.abs(seen.signal) < LOW_RANGE_V, values["offset"] + values["gain"] * seen.signal, 0.0
         )
