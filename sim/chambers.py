@@ -100,7 +100,7 @@ class EspecP300(PlainDialect):
         return f"{self._air_c():.1f},{self._set['S']:.1f},{self._set['H']:.1f},{self._set['L']:.1f}"
 
     def _demand(self, command: str, text: str) -> str:
-        """Set set point, upper and lower limit together; refuse all three if one is out of range."""
+        """Change the set point and both limits together; refuse the whole command if one is out of range."""
         wanted = {
             **self._set,
             **{key: float(value) for key, value in re.findall(rf"([SHL])({_NUMBER})", text)},

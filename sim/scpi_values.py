@@ -97,7 +97,8 @@ class ErrorQueue:
 class StatusRegisters:
     """The standard event and questionable data registers with their enable masks, and the status byte.
 
-    A power cycle sets POWER_ON in the event register; it clears the masks only if `power_on_clear` (*PSC) is set.
+    A power cycle sets POWER_ON in the event register. If `power_on_clear` (*PSC) is False, it keeps the masks of
+    the standard events and of service requests.
     """
 
     def __init__(self) -> None:

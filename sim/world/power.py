@@ -31,7 +31,7 @@ DISTURBANCES: Final[Mapping[DisturbanceKind, str]] = {
 
 @dataclass(frozen=True)
 class Rail:
-    """A supply rail of the block: the output that feeds it, its nominal voltage (V) and its current there (A).
+    """A supply rail of the block: the output that feeds it, its nominal voltage (V) and its nominal current (A).
 
     The block works within `working_v`. The absolute maximum ratings are `absolute_v` and `absolute_a`.
     """
