@@ -41,7 +41,11 @@ Row = dict[str, Any]
 
 
 def instruments_of(bench: BenchFile | None, run: int, started: Mapping[str, Any]) -> dict[str, list[Row]]:
-    """Return the rows of the instruments that answered when a run `started`, of their uses and certificates."""
+    """Return the rows of the instruments of a run, their uses and certificates, by table.
+
+    `started` are the data of the event with which the run began: identities and serial numbers that were
+    reported.
+    """
     answered = {str(k): str(v) for k, v in (started.get("instruments") or {}).items()}
     serials = {str(k): str(v).strip() for k, v in (started.get("serials") or {}).items()}
     instruments: dict[int, Row] = {}

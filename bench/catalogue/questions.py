@@ -191,7 +191,7 @@ def _time(fixed: str | None = None) -> Build:
 
 
 def moment(text: str) -> datetime:
-    """Return a time, or the beginning of a day (UTC), as UTC without a zone. Raises `ValueError`."""
+    """Return an ISO 8601 time, or the beginning of a day, in UTC without a zone. Raises `ValueError`."""
     try:
         when = datetime.fromisoformat(text)
     except ValueError:

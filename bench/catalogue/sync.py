@@ -408,7 +408,7 @@ class WalkResult:
 
 
 def scan(root: str, now_ns: int, most: int | None = None) -> tuple[WalkResult, list[Place]]:
-    """Walk a folder that is a run folder or holds some at any depth; symbolic links below it are not followed.
+    """Walk a folder that is or contains run folders, at any depth; symbolic links below it are not followed.
 
     Run folders are not entered further, nor are hidden folders. When more than `most` folders wait, the walk ends
     and returns them with the result, for `scan_all` to continue in any process. Raises `OSError` if `root` cannot

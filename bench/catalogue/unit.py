@@ -84,7 +84,7 @@ def due_units(
 
 
 def until_day(before: str | None) -> str | None:
-    """Return the day (UTC, ISO 8601) of a time; None for none. Raises `Refused` for an invalid text."""
+    """Return the day (UTC, ISO 8601) of a time; None if `before` is None. Raises `Refused` for another text."""
     try:
         return moment(before).date().isoformat() if before else None
     except ValueError as error:

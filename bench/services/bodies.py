@@ -34,8 +34,8 @@ TOGETHER: Final = "diagnose-together"
 class Body:
     """Readings that are diagnosed together: the `sources`, and all of them joined as one `source`.
 
-    `nominal` (blocks, 3) are the scale factors of the data sheets, for blocks of several kinds. A body of
-    free positions alone keeps one table for each source; `one_block` says whether one sensor measured them
+    `nominal` (blocks, 3) are the scale factors of the data sheets; it is None for a single kind of block. A body
+    of free positions alone keeps one table for each source; `one_block` says whether one sensor measured them
     all.
     """
 
@@ -294,7 +294,7 @@ class _Copy:
         return _mistake(MistakeName.SWAPPED_INSTALLATIONS, (), mount[1], None, None, words, p)
 
     def _rewire(self, mount: tuple[int, str], cause: str, told: Sequence[_Named]) -> Mistake:
-        """Undo wrong cables between the first and the last reading that shows them; return the mistake."""
+        """Undo swapped or reversed channels from first to last reading that shows them. Return the mistake."""
         rows = self._rows(mount)
         rows[: told[0].row] = False
         rows[told[-1].row + 1 :] = False

@@ -244,7 +244,7 @@ class CalibrationResult:
 
     @property
     def strictly_accepted(self) -> bool:
-        """Whether the lack-of-fit test does not reject the model at p = 0.01, and there are no `doubts`."""
+        """Whether p of the lack-of-fit test is at least 0.01 and there are no `doubts`."""
         return not self.doubts and self.calibration.lack_of_fit.accepted(strict=True)
 
     def to_dict(self) -> dict[str, Any]:

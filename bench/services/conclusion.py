@@ -89,8 +89,8 @@ def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
 def conclude(run: Run) -> Conclusion:
     """Calibrate, verify, report and chart a finished run, and write the results into its folder.
 
-    Not every procedure is a calibration: the conclusion says why its readings give none. Raises
-    `Refused` where a result cannot be written.
+    If the readings give no calibration, the conclusion states why. Raises `Refused` if a result cannot be
+    written.
     """
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
     try:

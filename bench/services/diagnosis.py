@@ -150,7 +150,7 @@ class _WithPage(_Result):
 
 @dataclass(frozen=True, repr=False)
 class MistakesResult(_Result):
-    """The result if mistakes were found and the remaining readings do not determine the coefficients."""
+    """A diagnosis that ended with mistakes: the remaining readings do not determine the coefficients."""
 
     found: MistakesAlone
 
@@ -427,7 +427,8 @@ def _by_unused_name(path: Path, write: Callable[[Path], None]) -> Path:
 def _write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
     """Write the copy in which mistakes are corrected, and its origin file beside it.
 
-    The copy is uncorrected by certificates; reading it with the same bench file gives exactly `corrected`.
+    The copy holds the values that the instruments showed; reading it with the same bench file gives exactly
+    `corrected`.
     """
     source = body.source
     content = format_csv(as_read(corrected, source.traced.by))

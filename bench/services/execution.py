@@ -467,7 +467,7 @@ def _elapsed_s(history: History) -> float:
 
 
 def _refuse_renamed(record: Record) -> None:
-    """Raise `Refused` if the folder of a finished run was renamed or moved, since its results have no place."""
+    """Raise `Refused` if the folder of a finished run was renamed or moved, as results cannot be written there."""
     place = record.whereabouts()
     if place == record.folder:
         return

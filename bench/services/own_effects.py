@@ -63,7 +63,8 @@ def knowing_effects_on_record(run: Run) -> AbstractContextManager[None]:
 def accept_terms(request: Accept) -> tuple[Path, Path]:
     """Write the effect file of the newly named terms and a model file that uses it; return both paths.
 
-    An existing file raises `Refused`, as do invalid terms or names.
+    Raises `Refused` for invalid terms or an invalid name and if a file exists, `FileMistakes` for an invalid
+    model file.
     """
     model, name = request.model, request.name
     file = load_model(model)

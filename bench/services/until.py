@@ -406,7 +406,7 @@ def _hints(bench: BenchFile) -> Iterator[str]:
 
 
 def _outlook(plan: Plan, bench: BenchFile) -> Outlook | None:
-    """Return the outlook on coefficients that the plan does not determine; None for an unknown installation."""
+    """Return the outlook on what the plan leaves undetermined, with remedies; None for an unknown installation."""
     settings = settings_of(plan)
     installations = bench.installation_models()
     if not {s.mount.installation for s in settings} <= set(installations):

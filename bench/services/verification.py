@@ -183,7 +183,10 @@ class VerificationResult:
 
     @property
     def statement(self) -> str:
-        """pass, conditional pass, conditional fail, fail; inconclusive if U exceeds the limit; not complete."""
+        """The overall statement: pass, conditional pass, conditional fail, fail, inconclusive or not complete.
+
+        It is inconclusive if U exceeds the limit, and not complete if a point was not measured.
+        """
         return str(self.verification.statement)
 
     @property

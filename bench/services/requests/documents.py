@@ -108,7 +108,7 @@ class DueUnits(_Dated):
 
 @dataclass(frozen=True, kw_only=True)
 class Batch(OnReadings):
-    """The evaluation of many runs anew, into a folder."""
+    """Many runs to be evaluated anew; the results are written into a folder."""
 
     over: Annotated[
         list[str],
