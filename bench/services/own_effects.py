@@ -53,8 +53,7 @@ def effects_for_record() -> dict[str, bytes]:
 def knowing_effects_on_record(run: Run) -> AbstractContextManager[None]:
     """Return a context in which the effects recorded with a run are registered.
 
-    Raises `FileMistakes` for an invalid file; entering it raises `ValueError` if a known effect of the same name
-    differs.
+    Raises `FileMistakes` if a known effect of the same name differs.
     """
     file = run.folder / EFFECTS
     return CATALOGUE.also(load_effects(file) if file.is_file() else ())
