@@ -1,4 +1,4 @@
-"""The `bench` command: a module for each, which reads its options, calls and prints.
+"""The `bench` command line: its modules read the options of commands, call the services and print results.
 
 To add a command, add a module here and a line to `COMMANDS` of `bench.cli.commands`. The command's function is
 decorated with `@app.command(epilog="Example: …")` and takes its options as parameters; `bench.cli.options` has
