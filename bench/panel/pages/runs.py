@@ -1,4 +1,4 @@
-"""The runs of the folder as a table, filtered and searched; the charts of its check block."""
+"""The table of the runs in the folder, with filters and search; the control charts of its check block."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ON_A_PAGE: Final = 50
 FILTERS: Final = ("state", "verdict", "instruments", "unit", "bench", "operator")
 LONGEST_SEARCH: Final = 200
 MOST_OFFERED: Final = 200
-"""Largest number of words offered as choices for a column; longer lists are left to the search."""
+"""Largest number of choices offered for a column; further values can be found by the search."""
 
 
 def runs(request: Request) -> Response:
@@ -49,7 +49,7 @@ def runs(request: Request) -> Response:
 
 
 def _choices(rows: list[RunRow], asked: dict[str, str]) -> dict[str, list[str]]:
-    """Return the words in each column, as choices for the filters."""
+    """Return the distinct values in each column, as choices for the filters."""
     offered = {}
     for column in FILTERS:
         words = {getattr(row, column) for row in rows} | {asked[column]}
@@ -65,7 +65,7 @@ KINDS: Final = {"": None, "real": True, "simulated": False}
 
 
 async def check_block(request: Request) -> Response:
-    """Show the charts of the check block of which the latest run is; `of` says whether real or simulated ones."""
+    """Show the control charts of the check block measured last; parameter `of` selects real or simulated runs."""
     looking(request)
     asked = request.query_params.get("of", "")
     if asked not in KINDS:
