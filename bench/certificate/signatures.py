@@ -109,9 +109,7 @@ def check_xml(document: bytes) -> SignedXml:
     )
     try:
         whole, *_ = xades.XAdESVerifier().verify(root, x509_cert=certificates[0], expect_config=config)
-    except (
-        Exception
-    ) as error:  # bad input raises many kinds of exception in the libraries below
+    except Exception as error:  # bad input raises many kinds of exception in the libraries below
         raise NotIntact(f"the signature does not hold ({_told(error)})") from error
     _check_references(whole.signature_xml)
     comments = sum(1 for _ in root.iter(etree.Comment))
@@ -249,7 +247,7 @@ class SignedPdf:
 
 
 def sign_pdf(body: bytes, signatory: Signatory, now: datetime, reason: str, place: str) -> bytes:
-    """Return a PDF with a signature of all of it appended. Raises `Refused` for one that has one."""
+    """Return a PDF with a PAdES signature over the whole file. Raises `Refused` if it is already signed."""
     from asn1crypto.x509 import Certificate as Asn1
     from cryptography.hazmat.primitives.serialization import Encoding
     from pyhanko.pdf_utils.incremental_writer import IncrementalPdfFileWriter
