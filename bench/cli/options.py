@@ -32,7 +32,7 @@ devices_given: ContextVar[tuple[str, ...]] = ContextVar("devices_given", default
 
 
 def with_own_parts(command: Any) -> Any:
-    """Add `--devices` and `--effects` to a command that uses a bench file or a model; return the command."""
+    """Return a command with `--devices` if it uses a bench file, and `--effects` if it uses that or a model."""
     takes = {parameter.name for parameter in command.params}
     if command.name == "resume" or "bench" in takes:
         words = "Folder with instruments of your own; it is run (default: BENCH_DEVICES)."
