@@ -497,7 +497,7 @@ def _together(names: list[str]) -> str:
 
 
 def _undetermined(found: Observability, unit: str) -> list[str]:
-    """Return sentences on unknowns that only the bench file's limits hold: one on all turns, one per other kind."""
+    """Return sentences on unknowns that only their limits hold: one on all turns, one per other direction."""
     turns = [d for d in found.directions if d.kind is DirectionKind.TURN]
     sentences = []
     if turns:
