@@ -131,8 +131,8 @@ def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> st
     """Return in words the common mistake that turns `target_rad` into `read_rad`, or None.
 
     The mistakes are: a scale line one off (10°, 1°, 10′, 1′), the opposite side of the circle, 360° - x, two
-    digits swapped. Apart from the last, a mistake must predict the reading within `tolerance_rad` and at least
-    three times as closely as the target does.
+    digits swapped. Except for swapped digits, the predicted reading must be within `tolerance_rad` of `read_rad`,
+    and at least three times as close to it as the target is.
     """
     difference = wrapped_rad(read_rad - target_rad)
     if abs(difference) <= tolerance_rad:

@@ -47,5 +47,5 @@ class Haste:
         self.asked = False
 
     def limited_s(self, timeout_s: float) -> float:
-        """Return the time to wait, s: `timeout_s`, or less in haste."""
+        """Return the time to wait, s: `timeout_s`, but at most `HASTY_S` if `asked` is true."""
         return min(timeout_s, HASTY_S) if self.asked else timeout_s

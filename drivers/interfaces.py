@@ -180,7 +180,7 @@ class Voltmeter(Instrument, Protocol):
         """Apply the settings and verify them by reading back. Raises `InstrumentRefused`, `InstrumentLost`."""
 
     def start(self) -> None:
-        """Begin one reading of `samples` samples."""
+        """Start one reading with the configured number of samples; return without waiting for it."""
 
     def fetch(self) -> dict[Channel, tuple[float, ...]]:
         """Wait for the reading and return the samples in volts, `{"x": (1.2, 1.2)}`.

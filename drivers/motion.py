@@ -216,7 +216,7 @@ class Mover:
             raise
 
     def wait_while(self, busy: Callable[[], bool], limit_s: float) -> None:
-        """Wait until the axis is no longer busy. Raises `InstrumentRefused` after `limit_s`."""
+        """Wait until `busy` returns False. Raises `InstrumentRefused` after `limit_s`, s."""
         deadline_s = self._clock.now_s() + limit_s
         while busy():
             if self._clock.now_s() > deadline_s:

@@ -20,7 +20,7 @@ class PromptKind(StrEnum):
 
 
 class MountBlock(TypedDict):
-    """Mount the block in an installation; `series` numbers the visits to it from 1."""
+    """Mount the block in `installation`; `series` numbers the mountings in this installation, from 1."""
 
     do: Literal["mount"]
     installation: str
@@ -37,14 +37,14 @@ class TurnHead(TypedDict):
 
 
 class SetChamber(TypedDict):
-    """Set the chamber."""
+    """Set the chamber to `target_c`, °C."""
 
     do: Literal["set_temperature"]
     target_c: float
 
 
 class SwitchInputs(TypedDict):
-    """Switch the inputs of all voltmeters."""
+    """Switch the inputs of all voltmeters to `source`; `reference_v` is the voltage of a reference."""
 
     do: Literal["select_input"]
     source: Literal["signal", "short", "reference"]
@@ -92,7 +92,7 @@ class PlaceLevel(TypedDict):
 class ReadLevel(TypedDict):
     """Put a level on the platform, along the shaft or across it, and read its bubble.
 
-    One division is `division_rad`; the scale ends at ± `most_divisions`. `turned`: by half a turn.
+    One division is `division_rad`; the scale ends at ± `most_divisions`. `turned`: turn the level by half a turn.
     """
 
     do: Literal["read_level"]

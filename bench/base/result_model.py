@@ -42,7 +42,7 @@ Matrix = Annotated[list[list[float]], BeforeValidator(_listed)]
 
 
 class ResultModel(BaseModel):
-    """Base of results and their parts: frozen, its members named in full, no NaN or infinity."""
+    """Base class of results and their parts: frozen, without unknown members, NaN or infinity."""
 
     model_config = ConfigDict(
         frozen=True,

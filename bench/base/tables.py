@@ -45,7 +45,7 @@ def table(*headings: str, no_wrap: bool = False) -> Table:
 
 
 def print_notes(out: Console, notes: Iterable[str]) -> None:
-    """Print notes below a result, unless `--quiet` limits them to the JSON and the page."""
+    """Print notes below a result, unless `--quiet` is set; the JSON and the page always have them."""
     if not quiet.get():
         for note in notes:
             out.print(f"note: {note}")

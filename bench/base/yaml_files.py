@@ -95,7 +95,10 @@ def explained(
 
 
 def unknown_word(word: str, known: list[str], what: str) -> str:
-    """Return the sentence for an unknown word of the sort `what` ("key"), with the nearest known word."""
+    """Return the error sentence for a word of the sort `what` ("key") that is unknown, or known but misplaced.
+
+    For an unknown word it suggests the nearest in `known`.
+    """
     if word in known:
         return f"'{word}' does not go with the other keys here; leave it or those out"
     near = _nearest(word, known)
@@ -410,7 +413,7 @@ class FileModel(BaseModel):
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the models among which a word in the file selects, in place of this model; none by default."""
+        """Return the models that a file may use in place of this one, such as one per driver; none by default."""
         return ()
 
 
@@ -437,7 +440,7 @@ class Document:
         return 0
 
     def mistake(self, place: Place, text: str) -> FileMistake:
-        """Return a mistake at a place of this file."""
+        """Return a `FileMistake` for a place in this file, with its line."""
         return FileMistake(self.line_of(place), dotted(place), text)
 
 

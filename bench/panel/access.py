@@ -203,9 +203,9 @@ def counted(receive: Receive) -> Receive:
 
 
 def without_body(receive: Receive) -> Receive:
-    """Return an ASGI `receive` that drops the body of a request, for methods that need none.
+    """Return an ASGI `receive` that drops the body of a GET or HEAD request.
 
-    A stream reads it only after its response has begun, which is too late for a refusal.
+    An event stream calls `receive` only after its response has begun, too late to refuse a large body.
     """
 
     async def dropped() -> Message:

@@ -254,7 +254,7 @@ class Wishes:
         return wish
 
     def of(self, wish_id: str) -> WishFolder:
-        """Return the folder of a wish. Raises `Refusal` (404)."""
+        """Return the folder of the wish with this id. Raises `Refusal` (404) if there is none."""
         if re.fullmatch(r"[0-9a-f]{12}", wish_id) is None or not (self._folder / wish_id / WISH).is_file():
             raise Refusal(404, "this is not there any more; begin again")
         return WishFolder(self._folder / wish_id)

@@ -76,11 +76,11 @@ class ResidualPlot:
 
     @property
     def waiting(self) -> bool:
-        """Whether readings wait to be judged."""
+        """Whether queued readings are still to be compared with their predictions."""
         return self._readings > 0
 
     def judge_next(self) -> bool:
-        """Judge the next queued reading; return whether there was one."""
+        """Compare the next queued reading with its prediction; return whether there was one."""
         while self._waiting:
             event = self._waiting.popleft()
             self._watcher.observe(event)
@@ -202,7 +202,7 @@ class Follower:
 
     @property
     def waiting(self) -> bool:
-        """Whether readings wait to be judged."""
+        """Whether queued readings are still to be compared with their predictions."""
         return self._residuals.waiting
 
     def state(self) -> dict[str, Any]:

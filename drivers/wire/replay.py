@@ -309,7 +309,10 @@ class Replay(Connection):
         return True
 
     def wait(self, timeout_s: float) -> bool:
-        """Return whether the next line is received data: unsolicited if `timeout_s` is 0, else a reply."""
+        """Return whether the next line is received data: unsolicited if `timeout_s` is 0, else a reply.
+
+        Raises a logged failure of this phase. Without data, the clock advances by `timeout_s`.
+        """
         self._when = AFTER_SENDING if timeout_s > 0.0 else BEFORE_SENDING
         self.fail(self._when)
         if self.left and self.left[0].way == "<":

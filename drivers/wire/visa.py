@@ -266,7 +266,10 @@ class MessageSession:
             )
 
     def _receive(self, connection: Connection | AdapterConnection, command: str, allowed_s: float) -> str:
-        """Return one decoded reply, with its termination stripped unless a tail follows (`read_tail`)."""
+        """Return one decoded reply without its termination; with a tail (`read_tail`), the reply is unchanged.
+
+        Raises `InstrumentLost` or `BadReading` if no complete reply to `command` arrives within `allowed_s`.
+        """
         if isinstance(connection, Connection) and connection.by_bytes:
             data = self._read_line(connection, command, allowed_s)
         else:
