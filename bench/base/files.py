@@ -98,7 +98,7 @@ def _from_pipe(path: Path) -> bytes:
 def _is_standard_input(about: os.stat_result) -> bool:
     try:
         return os.path.samestat(about, os.fstat(0))
-    except OSError:  # there is none
+    except OSError:  # the program has no standard input
         return False
 
 

@@ -191,7 +191,7 @@ _NULLS: Final = frozenset({"", "~", "null", "Null", "NULL"})
 """Unquoted words that mean None."""
 
 _Parser: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""The parser, the one in C where it is available."""
+"""The YAML parser: the C implementation if available."""
 
 
 class TooDeep(yaml.MarkedYAMLError):

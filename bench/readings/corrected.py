@@ -118,7 +118,7 @@ def on_scale(table: Curve, angle_rad: Floats) -> Floats:
 DAY: Final = 24.0 * HOUR
 
 FOUNDATION: Final = Distribution(2.0 * ARCSEC / DAY, "rectangular")
-"""Prior of a foundation's tilt rate if not measured, rad/s: the paper's tilts 1 to 2 arcseconds a day."""
+"""Prior of a foundation's tilt rate if not measured, rad/s; the paper states 1 to 2 arcseconds a day."""
 FOUNDATION_ARCSEC_H: Final = FOUNDATION.u * HOUR / ARCSEC
 REFUTED: Final = 3.0
 """If two readings differ by more than so many standard uncertainties, the prior `FOUNDATION` is discarded."""

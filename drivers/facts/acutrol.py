@@ -22,6 +22,6 @@ MODE_GAP_S: Final = 0.5
 
 DEMAND_DECIMALS: Final = 3
 FINEST_DEMAND_DEG: Final = 0.5 * 10.0**-DEMAND_DECIMALS
-"""Resolution of a demand: three decimals of a degree."""
+"""Largest rounding error of a demand, which has three decimals of a degree."""
 STILL_DEG_S: Final = 0.005
 """A table slower than this rate counts as at rest, unless the bench file states another rate."""
