@@ -63,10 +63,11 @@ class EffectEntry(FileModel):
 
 
 class OpenShape(FileModel):
-    """A sum of effects by which the shape of the effect `of` may differ: `changes`, all times `times` ± `u`.
+    """An open part of an effect's shape: the sum of `changes`, scaled by the common factor `times` ± `u`.
 
-    The factors of different sums are uncorrelated, given the readings in which they were found. `says` describes
-    the sum in words for the reader of the file; nothing is computed from it.
+    `of` names the effect that may differ by this sum. The factors of different sums are uncorrelated, given the
+    readings in which they were found. `says` describes the sum for the reader of the file; nothing is computed from
+    it.
     """
 
     of: str
@@ -118,11 +119,11 @@ class WithEffects(FileModel):
 
 
 class ModelFile(WithEffects):
-    """A model file; `parent` names the model it extends, `data_sha256` the readings it was derived from.
+    """A model file; `parent` names the model that it extends, `data_sha256` the readings that it was derived from.
 
     `evidence` is text for the reader of the file; nothing is computed from it. `dark_uncertainty` is the part of
     each reading (1 σ) that unnamed terms leave unexplained; users of the file are warned of it. `left_open` lists
-    the sums by which the shapes of effects may differ.
+    the open parts of the effects' shapes.
     """
 
     model_file: Literal["1"]

@@ -36,9 +36,9 @@ class Snapshot:
 
     `block` is the type and serial number of the block, empty if not recorded. `same_meters` (12, 12) is the
     covariance without the part that cancels if the same meters measure again, None if there is no such part;
-    `meters` are the meters' identities, empty if unknown. `block_terms` (12, q) are the errors due to K2 and K3 of
-    the block, one u each per column; they are the same in each calibration of a block. `wander` (3,) is the rms
-    wander of each bias about its mean in the run.
+    `meters` are the meters' identities, empty if unknown. Each column of `block_terms` (12, q) is the error due to
+    one u of K2 or K3 of the block, which is the same in each of its calibrations. `wander` (3,) is the rms wander
+    of each bias about its mean in the run.
     """
 
     name: str
@@ -106,7 +106,7 @@ class Snapshot:
 
 
 def _of_block(terms: Floats | None) -> Floats:
-    """Return the covariance (12, 12) due to block terms (12, q) of one u each; zero for None."""
+    """Return the covariance (12, 12) due to the columns of `block_terms` (12, q); zero for None."""
     return np.zeros((len(COEFFICIENTS),) * 2) if terms is None else np.asarray(terms @ terms.T)
 
 

@@ -368,7 +368,7 @@ def exchanged(runs: Sequence[tuple[str, tuple[str, str, str]]]) -> list[int]:
 
 
 def _stacked(runs: Sequence[MeterRun], day: float, quantity: int, scale: Floats) -> tuple[Floats, Floats]:
-    """Return the values (N,) of a quantity times `scale`, and their stated covariance (N, N)."""
+    """Return the values (N,) of a quantity times `scale`, and their covariance (N, N) with the meters' drift."""
     at = slice(3 * quantity, 3 * quantity + 3)
     y = scale * np.concatenate([run.values[at] for run in runs])
     known = linalg.block_diag(*(run.covariance[at, at] for run in runs))

@@ -188,7 +188,7 @@ NAMED_P: Final = 0.01
 LOOKED_AT_P: Final = 0.1
 """The variances are estimated again without a run only if its preliminary p-value is below this."""
 MOST_PART: Final = 1 / 3
-"""The largest fraction of runs left out; if more contradict, the bench itself has changed."""
+"""The largest fraction of runs left out; if more contradict, the runs do not share one state of the bench."""
 ANGLES: Final = "its angles of the stand"
 FIT: Final = "what it leaves beyond the scatter of its repeats"
 SCATTER: Final = "the scatter of its repeats"

@@ -56,7 +56,7 @@ def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
         key, channels = written_channels(meter) or ("", ())
         unreadable |= not key
         for channel in channels:
-            unreadable |= channel not in CHANNELS  # a list would be wrong, too; pydantic reports it
+            unreadable |= channel not in CHANNELS  # pydantic reports these
             if not isinstance(channel, str):
                 continue
             if channel in carried:
@@ -220,7 +220,7 @@ _A: Final[tuple[Place, ...]] = (
 
 
 def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Yield the place and the text of every mistake between the block's supply and the power supply.
+    """Yield place and text of every mistake in the block's rails, against the block's limits and the power supply.
 
     `data` is the bench file as written; any part of it may be missing or malformed.
     """

@@ -187,7 +187,7 @@ def learned_for(bench: BenchFile) -> str:
         "head": bench.instruments.head.model_dump(mode="json"),
         "meters": [
             {"driver": m.driver, "channels": list(m.channels), "range": m.range}
-            # the same kinds on the same channels, in whichever order, exchanged or not
+            # sorted by channel: neither the order of the meters nor an exchange between equal ones matters
             for m in sorted(bench.instruments.voltmeters, key=lambda m: m.channels)
         ],
     }

@@ -255,7 +255,7 @@ def _of_a_bench(limit_rad: float) -> float:
 
 
 class AngleError(ErrorSize):
-    """An angle error of the stand, rad; its sine equals the angle for the accepted limits."""
+    """A stand error that is an angle, rad; it is so small that its sine equals the angle."""
 
     limit: Annotated[SizeRad, AfterValidator(_of_a_bench)]
 
@@ -340,7 +340,7 @@ class UnitUnderTest(FileModel):
 
 
 class PopulationSection(FileModel):
-    """The distribution of Δg over many blocks of this type, before measurement: a normal distribution."""
+    """The normal distribution of Δg, the error of measured gravity, over blocks of this type, in g."""
 
     mean: AccelerationG = 0.0
     standard_deviation: Annotated[
@@ -463,10 +463,10 @@ class CubicError(ErrorSize):
 
 
 class UncertaintySection(FileModel):
-    """The limits of errors that the readings do not reveal; an omitted limit has a default.
+    """The limits of errors that the readings do not reveal; omitted limits have defaults.
 
     The default for voltmeters is the maker's limits, for temperature the chamber's band, and for rail voltages
-    their tolerance. Temperature and rail voltages are taken to be off by a constant amount throughout a run.
+    their tolerance. The deviations of temperature and rail voltages are taken to be constant throughout a run.
     """
 
     voltmeter_gain: RatioError | None = None

@@ -88,8 +88,8 @@ _THERMOTRON = Device(
 class WatlowF4TSection(ControlledChamberForm):
     """A chamber with a Watlow F4T controller.
 
-    `output` is the number of the output that switches conditioning on. Without an `output`, the chamber is set to
-    the temperature `safe` after a run.
+    `output` is the number of the output that switches conditioning on. Without `output`, a run ends by setting the
+    chamber to the temperature `safe`.
     """
 
     facts: ClassVar = f4t

@@ -59,7 +59,7 @@ class DeviceSection(FileModel):
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the section classes of all instruments of the role; empty except for the role's own form."""
+        """Return the section classes of all instruments of a role if this is the form of the role, else nothing."""
         return cls.sections_of(cls.role) if "role" in cls.__dict__ else ()
 
     def driver_options(self) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from drivers.facts import newport_esp301 as newport
 
 
 class AcutrolSection(MotorisedHeadForm):
-    """One axis of a rate table with an ACUTROL controller; below `still_rate` it counts as standing still."""
+    """One axis of a rate table with an ACUTROL controller; below `still_rate` the axis counts as stationary."""
 
     facts: ClassVar = acutrol
     scale_on_axis: ClassVar[bool] = True
@@ -47,7 +47,7 @@ class AcutrolSection(MotorisedHeadForm):
         return tolerance_rad
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the axis, and the rate below which it counts as standing still (rad/s)."""
+        """Return the axis, and the rate below which the axis counts as stationary (rad/s)."""
         return {"axis": self.axis, "still_rad_s": self.still_rate}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:

@@ -49,7 +49,7 @@ _INPUTS: Final[Mapping[str, str]] = {"short": SHORTED, "reference": REFERENCE}
 
 @dataclass(frozen=True)
 class _Context:
-    """The state in which a step is expanded; outside a verb, the fields that it sets have their defaults."""
+    """The position in the procedure at which a step is expanded; fields of verbs not yet entered have defaults."""
 
     document: Document
     reading: ReadingSection
@@ -100,7 +100,8 @@ class _TooLong(Exception):
 class Expansion:
     """The expansion of a procedure whose files are valid and whose verbs are all allowed where they occur.
 
-    `mistakes` holds those that only the expansion reveals (such as a point read twice), each with its document.
+    `mistakes` holds the mistakes that only the expansion reveals (such as a point read twice), each with its
+    document.
     """
 
     def __init__(self, documents: Mapping[Path, Document], files: Mapping[Path, IncludedFile]) -> None:

@@ -490,7 +490,7 @@ class _StepEntry(FileModel):
 if TYPE_CHECKING:
     StepEntry = _StepEntry
 else:
-    # kinds of step in modules of their own bring their verbs
+    # each kind of step in a separate module contributes its verb
     _FURTHER = {kind.NAME: (kind.VERB | None, None) for kind in KINDS if kind.VERB is not None}
     StepEntry = create_model("StepEntry", __base__=_StepEntry, __doc__=_StepEntry.__doc__, **_FURTHER)
 

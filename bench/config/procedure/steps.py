@@ -36,7 +36,7 @@ _INPUTS: Final = {SHORTED: "the shorted input", REFERENCE: "the reference input"
 
 @dataclass(frozen=True, slots=True)
 class OnFailure:
-    """The handling of a failed step: `repeats` attempts more, then the run stops or continues without a result."""
+    """The handling of a failed step: up to `repeats` repeats; then the run stops, or continues without a result."""
 
     repeats: int = 1
     then: Literal["stop", "continue"] = "stop"
@@ -357,8 +357,8 @@ class Level(Step):
     """The level on the platform is read with the head at 0°, in two positions half a turn apart.
 
     The head is set to 0° anew `settings` times. With `within_rad` the platform is levelled for the mounting that
-    follows, and levelled again while it is further off than that. Without `within_rad` its tilt is only read, at
-    the end of the mounting for which it was levelled.
+    follows, and levelled again while it is further off than that. Without `within_rad` the tilt of the platform is
+    only read, at the end of the mounting for which it was levelled.
     """
 
     NAME: ClassVar[str] = "level"
