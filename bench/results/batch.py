@@ -164,7 +164,7 @@ class BatchResult(ResultModel):
     files: list[str] = Field(description="tables in the batch's folder")
 
     def accepted(self, *, strict: bool = False) -> bool:
-        """Whether no verdict differs and no run failed; where `strict`, neither fit nor names differ."""
+        """Return whether no verdict differs and no run failed; `strict` also counts differences in fit or names."""
         more = (self.fit or self.names) if strict else None
         return not (self.verdicts.different or self.runs.failed or (more and more.different))
 

@@ -1,4 +1,4 @@
-"""The result of `bench compensate`: polynomials of temperature with tables, as JSON and as text."""
+"""The result of `bench compensate`: polynomials of temperature and a compensation table, as JSON and as text."""
 
 from __future__ import annotations
 

@@ -436,7 +436,7 @@ def _level(axes: Axes, along: Floats, level: Floats, **style: Any) -> None:
 
 
 def _name_runs(axes: Axes, chart: Any, along: Floats) -> None:
-    """Label about eight runs on the time axis with the day (and hour, if days repeat) on which they began."""
+    """Label at most 15 runs with the date on which they began, and the time if several began on one day."""
     every = max(1, len(along) // 8)
     ticks = along[::-1][::every][::-1]
     days = {f"{run.when:%Y-%m-%d}" for run in chart.later}
