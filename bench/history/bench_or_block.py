@@ -70,7 +70,7 @@ SHOWN_P: Final = 0.05
 ALLOTTED_P: Final = 0.01
 LITTLE_SCATTER_P: Final = 0.01
 WELL_KNOWN: Final = 0.15
-"""Sizes with a smaller relative u have an upper limit by their u; others by the profile likelihood."""
+"""Below this relative u, the upper limit of a size is value + 1.645 u; else from the profile likelihood."""
 ONE_SIDED: Final = 1.645
 
 

@@ -32,10 +32,7 @@ NEVER: Final = (
 
 @dataclass(frozen=True)
 class LearnedSize:
-    """A learned quantity in `unit`, with its standard uncertainty and degrees of freedom.
-
-    `told` is false if the runs did not determine it, so that it keeps its prior.
-    """
+    """A learned quantity in `unit` with u and degrees of freedom; `told` is false if it keeps its prior."""
 
     name: str
     value: float
@@ -47,10 +44,7 @@ class LearnedSize:
 
 @dataclass(frozen=True)
 class Variance:
-    """A variance component: `theta` with its standard uncertainty, in terms of `unit` squared.
-
-    `held` is true if the runs did not determine it, so that it keeps its prior.
-    """
+    """A variance component `theta` with its u, in terms of `unit` squared; `held` is true if it keeps its prior."""
 
     name: str
     theta: float
@@ -243,10 +237,7 @@ class MeterRun:
 
 
 def lengths_and_biases(coefficients: Floats) -> tuple[Floats, Floats]:
-    """Return the logarithm of the length of each row of K and the biases over these lengths, (6,).
-
-    The second value are the derivatives by the twelve coefficients, (6, 12).
-    """
+    """Return ln |row| of K and bias over |row| by channel, (6,), and the derivatives by the twelve, (6, 12)."""
     rows, bias = coefficients[:9].reshape(3, 3), coefficients[9:]
     length = np.linalg.norm(rows, axis=1)
     slope = np.zeros((6, 12))
@@ -282,7 +273,7 @@ class Contrasts:
 class MeterDifferences:
     """The differences between M meters, referred to the time `day`.
 
-    Meters of different `group` (M,) cannot be compared. `used` is the number of runs in which each meter read each
+    Meters of different `group` (M,) cannot be compared. `used` counts the runs in which each meter read each
     channel.
     """
 
@@ -437,10 +428,7 @@ class _Design:
         return np.asarray(np.exp(mean[self.cell]))
 
     def fit(self, y: Floats, known: Floats) -> Contrasts:
-        """Return the contrasts of the meters from values (N,) with stated covariance (N, N).
-
-        A variance between runs beyond the stated one is estimated by restricted likelihood.
-        """
+        """Return the contrasts of the meters, with a variance between runs estimated by restricted likelihood."""
         cells = np.eye(int(self.cell.max()) + 1)[self.cell]
         basis = contrasts_within(self.group)
         X = np.concatenate([cells, np.eye(len(self.meters))[self.meter_of] @ basis], axis=1)
@@ -478,8 +466,7 @@ class _Design:
 def _beyond(y: Floats, X: Floats, known: Floats) -> tuple[float, float]:
     """Return the variance of each reading beyond the stated covariance `known`, and its standard uncertainty.
 
-    It is estimated by restricted likelihood, with `X` as fixed effects, and widened for its degrees of freedom; it
-    is never zero.
+    Restricted likelihood, with `X` as fixed effects, gives the variance; it is widened for its dof and never zero.
     """
     off = linalg.null_space(X.T)
     size, axes = np.linalg.eigh(off.T @ known @ off)

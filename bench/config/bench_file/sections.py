@@ -218,7 +218,7 @@ class DriftSection(FileModel):
     u: str
 
     def value(self, coefficient: str) -> tuple[float, float]:
-        """Return the drift per year and its u, in V/g or V. Raises `ValueError` for the wrong unit."""
+        """Return the drift per year and its u, in V/g or V. Raises `ValueError` for text that states neither."""
         kind = VOLTAGE if coefficient.startswith("U0") else SCALE_FACTOR
         return parse_quantity(self.per_year, kind), parse_quantity(self.u, kind)
 

@@ -92,7 +92,7 @@ class Devices:
         return None if place.startswith(str(Path(__file__).parent) + os.sep) else place
 
     def why_not(self, name: object) -> str | None:
-        """Return the likely reason why a device is not available; None if it is, or if nothing failed to load."""
+        """Return why the device of this name may have failed to load; None if it is known, or nothing failed."""
         if not isinstance(name, str) or name in self.found:
             return None
         if name in self.doubled:
