@@ -136,7 +136,7 @@ def at(body: RunSums, theta: Floats, beliefs: Beliefs) -> LikelihoodPoint:
 class VarianceEstimate:
     """The variances (k,) that maximise the restricted likelihood, relative to the stated ones.
 
-    `information` (k, k) is the observed information including priors; `at` is the likelihood at the maximum.
+    `information` (k, k) is the observed information, priors included; `at` is the likelihood at the maximum.
     """
 
     theta: Floats
@@ -291,10 +291,7 @@ def _held_against(
 
 @dataclass(frozen=True)
 class Agreed:
-    """The runs that agree, their sums and noise variances (4,), and contradictions, most significant first.
-
-    `most` is true if more runs contradict than may be left out.
-    """
+    """The runs that agree, their sums and noise (4,), and contradictions; `most` if too many runs contradict."""
 
     runs: list[RunFit]
     body: RunSums

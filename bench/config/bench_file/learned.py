@@ -74,11 +74,7 @@ class NoiseEntry(FileModel):
 
 
 class StandEntry(FileModel):
-    """The learned angles of the stand.
-
-    `means` has the covariance `covariance_rad2` (rad²). `remount` is the standard deviation of each angle between
-    mountings.
-    """
+    """The learned angles: means with covariance, rad², and standard deviations between mountings (`remount`)."""
 
     means: tuple[MeanEntry, ...] = Field(min_length=1)
     covariance_rad2: tuple[tuple[float, ...], ...]
@@ -221,10 +217,7 @@ Row = Annotated[tuple[float, ...], Field(min_length=len(COEFFICIENTS), max_lengt
 
 
 class PriorCoefficient(FileModel):
-    """The prior of one coefficient of an unmeasured unit: mean and standard uncertainty `u`.
-
-    `between_units` is the standard deviation between units, `u_mean` the standard uncertainty of the mean.
-    """
+    """The prior of one coefficient: mean, u, standard deviation between units, standard uncertainty of the mean."""
 
     mean: float
     u: Annotated[float, Field(gt=0)]
