@@ -1,4 +1,4 @@
-"""Prompts to a person as values, to be shown in a terminal or on a page, or answered by a program."""
+"""Prompts to a person as values, for display in a terminal or on a page, or for a program to answer."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drivers.interfaces import Direction, LevelAxis
 
 
 class PromptKind(StrEnum):
-    """What sort of answer a prompt wants."""
+    """The kind of answer that a prompt expects."""
 
     CONFIRM = "confirm"
     CHOOSE = "choose"
@@ -20,7 +20,7 @@ class PromptKind(StrEnum):
 
 
 class MountBlock(TypedDict):
-    """Mount the block in an installation; `series` numbers the visits to it from 1."""
+    """Mount the block in `installation`; `series` numbers the mountings in this installation, from 1."""
 
     do: Literal["mount"]
     installation: str
@@ -28,7 +28,7 @@ class MountBlock(TypedDict):
 
 
 class TurnHead(TypedDict):
-    """Turn the head and read its scale; where it is stated, what is read may be `tolerance_rad` off the target."""
+    """Turn the head and read its scale; the reading may differ from the target by `tolerance_rad`, if given."""
 
     do: Literal["turn"]
     target_rad: float
@@ -37,14 +37,14 @@ class TurnHead(TypedDict):
 
 
 class SetChamber(TypedDict):
-    """Set the chamber."""
+    """Set the chamber to `target_c`, °C."""
 
     do: Literal["set_temperature"]
     target_c: float
 
 
 class SwitchInputs(TypedDict):
-    """Switch the inputs of all voltmeters."""
+    """Switch the inputs of all voltmeters to `source`; `reference_v` is the voltage of a reference."""
 
     do: Literal["select_input"]
     source: Literal["signal", "short", "reference"]
@@ -67,7 +67,7 @@ class SwitchSupply(TypedDict):
 
 
 class ReadSupply(TypedDict):
-    """Read the display of the power supply: whether an output is on, what it is set to (V, A), what it gives."""
+    """Read from the supply's display whether an output is on, a setting, or the measured voltage or current."""
 
     do: Literal["read_supply"]
     output: str
@@ -90,7 +90,10 @@ class PlaceLevel(TypedDict):
 
 
 class ReadLevel(TypedDict):
-    """Put a level on the platform along the shaft or across it, and read its bubble, on ± `most_divisions`."""
+    """Put a level on the platform, along the shaft or across it, and read its bubble.
+
+    One division is `division_rad`; the scale ends at ± `most_divisions`. `turned`: turn the level by half a turn.
+    """
 
     do: Literal["read_level"]
     axis: LevelAxis
@@ -100,7 +103,7 @@ class ReadLevel(TypedDict):
 
 
 class LevelPlatform(TypedDict):
-    """Level the platform, before the block is mounted in an installation for the `series`-th time."""
+    """Level the platform before the block is mounted in `installation`, for visit number `series`."""
 
     do: Literal["level_platform"]
     installation: str
@@ -108,7 +111,7 @@ class LevelPlatform(TypedDict):
 
 
 class Say(TypedDict):
-    """Read the chamber's thermometer, answer, see that the way is clear, or wait: nothing is changed."""
+    """A task that changes nothing: read the chamber's thermometer, answer, wait, or see that the way is clear."""
 
     do: Literal["read_temperature", "answer", "ask", "wait", "stand_clear"]
 
@@ -127,16 +130,16 @@ Action = (
     | LevelPlatform
     | Say
 )
-"""The task of a prompt, for a program in place of a person."""
+"""The task of a prompt in machine-readable form, for a program that answers in place of a person."""
 
 
 @dataclass(frozen=True, slots=True)
 class Prompt:
-    """A question as a value: it can be shown in a terminal, on a page, or answered by a script.
+    """A question as a value: it can be shown in a terminal or on a page, or answered by a script.
 
-    `id` names the step and the attempt that ask ("12/turn#1"); an answer to another id is stale.
-    `default` is what an empty answer means; a prompt without one cannot be answered in a dry run
-    except by the scripted operator.
+    `id` names the step and the attempt ("12/turn#1"); an answer to another id is stale.
+    `default` is the meaning of an empty answer. In a dry run, only the scripted operator can answer a prompt
+    without a default.
     """
 
     id: str
@@ -153,38 +156,35 @@ class Prompt:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What the person said to the prompt of that `id`; the text as typed."""
+    """The answer to the prompt with the id `prompt_id`; `text` as typed."""
 
     prompt_id: str
     text: str
 
 
 class Person(Protocol):
-    """The interface to the person who is asked: a terminal, a panel, a scripted operator."""
+    """The interface to the person who answers prompts: a terminal, a panel, a scripted operator."""
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Put the prompt and wait for the answer.
-
-        Raises `NoAnswer` when there is nobody (left) to answer.
-        """
+        """Show the prompt and wait for the answer. Raises `NoAnswer` if nobody can answer."""
 
 
 @runtime_checkable
 class WatchingPerson(Protocol):
-    """A `Person` with whom something can be watched while a question waits.
+    """A `Person` that calls `meanwhile` while a question waits for its answer.
 
-    Where `meanwhile` is set it is called again and again until the answer is there, at least every 10 s of bench
-    time, in the thread that asks; what it raises is raised by `ask`.
+    If set, `meanwhile` is called at least every 10 s of bench time, in the thread that called `ask`.
+    `ask` propagates its exceptions.
     """
 
     meanwhile: Callable[[], None] | None
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Put the prompt and wait for the answer, as a `Person`."""
+        """Show the prompt and wait for the answer, as `Person.ask`."""
 
 
 ATTEMPTS: Final = 5
-"""The most attempts of a question."""
+"""How often a question is asked at most."""
 
 _Read = TypeVar("_Read")
 
@@ -196,11 +196,11 @@ def ask_until(
     read: Callable[[str], _Read],
     attempts: int = ATTEMPTS,
 ) -> _Read:
-    """Put a question until its answer can be read; return what `read` makes of it.
+    """Ask a question until `read` accepts the answer; return the value from `read`.
 
-    `question` makes the prompt of its id and of a sentence on what was wrong with the answer before, empty at
-    first; `read` raises `ValueError` with that sentence. Raises `ValueError` with the last one after all
-    `attempts`, `NoAnswer` when there is nobody to ask.
+    `question(id, trouble)` makes the prompt; `trouble` says what was wrong with the last answer, at first "".
+    `read` takes the answer's text and raises `ValueError` with such a sentence. After `attempts` answers the last
+    sentence is raised as `ValueError`; `NoAnswer` is raised if nobody can answer.
     """
     trouble = ""
     for attempt in range(1, attempts + 1):

@@ -1,4 +1,4 @@
-"""The person at a simulated bench, and the front panel that the person works."""
+"""The operator of a simulated bench, and the supply's front panel that the operator works."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def work_supply(world: World, action: SetSupply | SwitchSupply | ReadSupply) -> str:
-    """Do what is asked at the supply; return what its display shows where that is asked, else nothing."""
+    """Carry out an action at the supply; return the displayed value for a `ReadSupply`, else an empty text."""
     power, now_s = world.power, world.clock.now_s()
     if action["do"] == "set_supply":
         for output, (voltage_v, limit_a, over_voltage_v) in action["outputs"].items():
@@ -42,19 +42,18 @@ def work_supply(world: World, action: SetSupply | SwitchSupply | ReadSupply) -> 
 
 
 LOOK_S: Final = 10.0
-"""Interval of calls of `meanwhile` while the person is at a task."""
+"""Interval between calls of `meanwhile` during a task, s."""
 _SLIPS_ARCSEC: Final = (3600.0, -3600.0, 600.0, -600.0, 60.0, -60.0)
 
 
 @dataclass(frozen=True)
 class OperatorSettings:
-    """Settings of the simulated person: accuracy, times and slips.
+    """Settings of the simulated operator: accuracy, times and slips.
 
-    The head is set to the target within a normal `setting_deviation_rad`, to a whole step of the scale,
-    `resolution_rad`. A turn takes a uniform time within `turn_time_s`, a mounting `mount_time_s`, any other
-    task `task_time_s`, a second look at the scale `second_look_s`, one at a display
-    `display_time_s`. `slip_probability` is that of a classic
-    slip in what is typed (1°, 10′ or 1′ off) while the head stands right.
+    The head is set to the target with a normal error of `setting_deviation_rad`, then rounded to the scale step
+    `resolution_rad`. Durations in s: a turn, uniform within `turn_time_s`; a mounting, `mount_time_s`; a second
+    look at the scale, `second_look_s`; a display reading, `display_time_s`; any other task, `task_time_s`. With
+    `slip_probability` the typed angle is off by 1°, 10′ or 1′ although the head is set correctly.
     """
 
     setting_deviation_rad: float = 2.0 * ARCSEC
@@ -67,17 +66,17 @@ class OperatorSettings:
     slip_probability: float = 0.01
 
     def __post_init__(self) -> None:
-        """Raise `ValueError` for a scale without steps: what is read could not be typed."""
+        """Raise `ValueError` for a scale step that is not positive."""
         if self.resolution_rad <= 0.0:
             raise ValueError(f"the scale's resolution must be positive, not {self.resolution_rad} rad")
 
 
 class ScriptedOperator:
-    """A `drivers.interfaces.Person` who carries out `prompt.action` on the world and answers.
+    """A `drivers.interfaces.WatchingPerson` who carries out `prompt.action` on the world and answers.
 
-    What is random is keyed by the step in the prompt's id (the part before "#") and the world's seed, so
-    that a step repeated in another process goes the same way. A question put again ("…#2") is answered
-    with care: without a slip, and without turning the head again. It is a `drivers.interfaces.WatchingPerson`.
+    Random numbers are keyed by the world's seed and by the step in the prompt's id (the part before "#"), so a
+    step repeated in another process goes the same way. A repeated question ("…#2") is answered without a slip and
+    without turning the head again.
     """
 
     def __init__(self, world: World, settings: OperatorSettings | None = None) -> None:
@@ -87,9 +86,9 @@ class ScriptedOperator:
         self.meanwhile: Callable[[], None] | None = None
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Do what the prompt's action asks, let the time it takes pass, and answer.
+        """Carry out the prompt's action, let its duration pass, and return the answer.
 
-        Raises `NoAnswer` for a question whose action says nothing and that has no default.
+        Raises `NoAnswer` for a prompt with neither a known action nor a default.
         """
         action = prompt.action
         if action["do"] == "mount":
@@ -134,9 +133,9 @@ class ScriptedOperator:
         return _confirmation(prompt)
 
     def turn_to(self, prompt_id: str, angle_rad: float, direction: Direction) -> None:
-        """Turn the head until its scale shows `angle_rad`, in the time that the person takes for this turn."""
+        """Turn the head until its scale shows `angle_rad`; it takes as long as when `ask` handles this prompt."""
         generator = self._generator("turn", prompt_id.partition("#")[0])
-        generator.normal()  # the deviation of a setting, which is not this person's
+        generator.normal()  # skip the setting error: the next number, the time, is that of `_turn`
         self._pass_time(float(generator.uniform(*self._settings.turn_time_s)))
         self._world.turn(angle_rad, direction)
 
@@ -173,7 +172,7 @@ class ScriptedOperator:
 
 
 def scale_text(angle_arcsec: float) -> str:
-    """Return an angle as it is read and typed: "45 00 03", "360 00 00", "-0 00 02"; 0.001″ at the finest."""
+    """Format an angle as read from the scale and typed: "45 00 03", "-0 00 02"; rounded to 0.001″."""
     thousandths = round(abs(angle_arcsec) * 1000.0)
     seconds, fraction = divmod(thousandths, 1000)
     minutes, seconds = divmod(seconds, 60)
@@ -186,7 +185,7 @@ def scale_text(angle_arcsec: float) -> str:
 def _confirmation(prompt: Prompt) -> str:
     if prompt.default is not None:
         return prompt.default
-    return prompt.choices[0] if prompt.choices else "yes"  # a block is untouched until somebody touches it
+    return prompt.choices[0] if prompt.choices else "yes"  # the first choice: "untouched"
 
 
 def _default(prompt: Prompt) -> str:
