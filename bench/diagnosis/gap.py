@@ -320,6 +320,7 @@ def _fold(
     grid = make_noise_grid(part, whitened.grid.sigma, setting_rad, near_ratios(linear, noise))
     rest = Whitened.of(replace(grid, known=whitened.grid.known), kept)
     found = search(rest, rest.reduce(part.response[:, None]), threshold, most)
+    rest.forget()
     predict = partial(_held_out, linear, candidates, noise, held)
     before, after = predict(()), predict(found.columns)
     gains: dict[str, float] = {}

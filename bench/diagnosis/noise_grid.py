@@ -38,7 +38,9 @@ RATIO_SPREAD: Final = 1.0
 """Prior standard deviation of ln gamma about the bench file's value, which is known to a factor of three."""
 
 LOCAL: Final = 0.5
-"""A random column in at most this fraction of the rows joins them in one block; a wider one is fitted."""
+"""A random column in at most this fraction of the rows joins them in one block; a wider one is fitted.
+
+Of several runs it is one in at most a run's rows: what all runs share would join them all in one dense block."""
 
 ROUNDING: Final = 1e-12
 """Remaining fraction of variance below which a fitted direction counts as completely removed."""
@@ -190,7 +192,8 @@ def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whi
 
 def _wide(linear: LinearSystem) -> Mask:
     """Return a mask of the random columns that are in more than the fraction `LOCAL` of the rows."""
-    return np.asarray(np.count_nonzero(linear.random, axis=0) > LOCAL * len(linear))
+    most = min(LOCAL, 1.0 / len(np.unique(linear.readings.run))) * len(linear)
+    return np.asarray(np.count_nonzero(linear.random, axis=0) > most)
 
 
 def _blocks(linear: LinearSystem, wide: Mask) -> tuple[Ints, ...]:

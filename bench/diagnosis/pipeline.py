@@ -86,8 +86,8 @@ def diagnose(
     candidates. The record is never changed: a mistake is corrected in a copy. Raises
     `CalibrationError` where the readings do not determine the coefficients.
     """
-    readings = with_blocks(readings, model)
     mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
+    mistakes = replace(mistakes, corrected=with_blocks(mistakes.corrected, model))
     absent = there.absent(mistakes.corrected)
     setting_rad = stand_u.get("setting_error", 0.0)
     prepared, naming = _named(mistakes.corrected, model, stand_u, cache, digit_of(readings), absent)
@@ -141,7 +141,7 @@ def diagnose(
         findings=findings,
         noise_kinds=kinds,
         notes=(
-            *readings.notes,
+            *mistakes.corrected.notes,
             *(finding.words for finding in findings),
             *(kind.words for kind in kinds),
             *_left_out(weak),

@@ -33,6 +33,8 @@ from bench.model import STAND_ANGLES, Block, ForwardModel
 from bench.readings.corrected import MistakeName
 from bench.readings.table import Readings
 
+FALSE_MISTAKE: Final = 1e-4
+"""Level: the probability of calling any single reading of a table wrong where none is."""
 MOST: Final = 5
 """Mistakes of each of the two kinds that are put right one after another."""
 
@@ -83,7 +85,7 @@ def find_mistakes(
     model: ForwardModel,
     stand_u: Mapping[str, float],
     nominal_scale_factors: Floats | None,
-    significance: float = 1e-4,
+    significance: float = FALSE_MISTAKE,
 ) -> MistakeSearch:
     """Look for mistakes in a table of readings.
 
