@@ -270,6 +270,25 @@ _NAMES: Final = {
 }
 
 
+def in_another_unit(channels: Sequence[str], part: str, unit: str, tens: int) -> str:
+    """Return in words that signals are 10 to the power of `tens` times too large.
+
+    `part` names their part of the table (" of pass 2"), empty for all of it; `unit` is that of the file.
+    """
+    everything = len(channels) == len(CHANNELS)
+    what = "all signals" if everything else f"the signals of channel {', '.join(channels)}"
+    than = "the data sheet, if that is of this block" if everything and not part else "the others"
+    prefix, left = divmod(tens, round(PREFIX))
+    name = _NAMES.get(unit, {}).get(prefix)
+    said = f"in {name}, where the file says {unit}" if name else "in another unit than the file says"
+    if left:
+        said = "read with another range or decimal point than the file says"
+    return (
+        f"{what}{part} seem to be {said}: they are {10 ** abs(tens)} times too "
+        f"{'large' if tens > 0 else 'small'} beside {than}"
+    )
+
+
 @dataclass(frozen=True)
 class WrongUnit:
     """The signals in another unit than the rest: each is too large by 1000 to the `power` (n, 3).
@@ -295,16 +314,7 @@ class WrongUnit:
     @property
     def words(self) -> str:
         """A sentence on which signals are affected, and on their likely unit."""
-        what = (
-            "all signals" if len(self.channels) == 3 else f"the signals of channel {', '.join(self.channels)}"
-        )
-        than = "the data sheet, if that is of this block" if self.whole else "the others"
-        name = _NAMES.get(self.unit, {}).get(self.size)
-        said = f"in {name}, where the file says {self.unit}" if name else "in another unit than the file says"
-        return (
-            f"{what}{self.part} seem to be {said}: they are {10 ** (3 * abs(self.size))} times too "
-            f"{'large' if self.size > 0 else 'small'} beside {than}"
-        )
+        return in_another_unit(self.channels, self.part, self.unit, round(PREFIX) * self.size)
 
     def corrected(self, readings: Readings) -> Readings:
         """Return a copy of the readings with the affected signals in the unit of the others."""

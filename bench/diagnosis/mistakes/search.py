@@ -102,7 +102,8 @@ def find_mistakes(
     found: list[Mistake] = []
     copies = [readings]
     looks = 1
-    if (unit := wrong_unit(readings, model, _sheet(readings.unit, nominal))) is not None:
+    unit = wrong_unit(readings, model, sheet_of(readings.unit, ())) if nominal is None else None
+    if unit is not None:  # no data sheet says how large signals are: they are compared with each other
         copies.append(unit.corrected(readings))
         found.append(_unit_mistake(unit, _p_of_unit(stage.gross, unit, *copies)))
     for _ in range(MOST):
@@ -161,10 +162,6 @@ class _Stage:
         return _FirstGuess(table, problem, block, floor, sheet, readings.unit)
 
 
-def _sheet(unit: str, nominal: Floats | None) -> Sequence[float] | None:
-    return sheet_of(unit, ()) if nominal is None else nominal.tolist()
-
-
 def _p_of_unit(gross: GrossSearch, unit: WrongUnit, recorded: Readings, right: Readings) -> float:
     """Return the p of signals in another unit; a look is each prefix of each channel in each part of the table."""
     table = OrientedRows.of(recorded)
@@ -198,7 +195,7 @@ def _gross_mistake(gross: GrossMistake) -> Mistake:
     alike = f"; these readings cannot tell it from {', '.join(dict.fromkeys(also))}" if also else ""
     return Mistake(
         name=supposition.name,
-        channels=supposition.wiring.channels,
+        channels=supposition.channels,
         installations=tuple(str(mount) for mount in supposition.scope.mounts),
         pass_number=supposition.scope.pass_number,
         point=None,
