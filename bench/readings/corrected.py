@@ -225,6 +225,7 @@ class MistakeName(StrEnum):
     WRONG_SETTING = "wrong_setting"
     OUTLIER = "outlier"
     WRONG_UNIT = "wrong_unit"
+    ANOTHER_BLOCK = "another_block"
     OTHER_MOUNTING = "other_mounting"
     """The block was mounted differently in an unknown way; other mistakes may look like this."""
 

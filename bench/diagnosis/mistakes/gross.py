@@ -237,7 +237,10 @@ class GrossSearch:
         weight = np.stack([np.ones(len(table)) if s.source is None else s.source >= 0 for s in supposed])
         mean, precision = self._prior(scale)
         scores = _fit(columns, signal, weight.astype(np.float64), mean, precision, self.gross_g * scale)
-        return replace(scores, cost=scores.misfit - 2.0 * np.array([s.log_jacobian for s in supposed]))
+        cost = scores.misfit - 2.0 * np.array([s.log_jacobian for s in supposed])
+        # another unit brings the channels to their data sheet, or it is none
+        other_unit = np.array([s.factor is not None for s in supposed]) & (scores.sheet > LEAST_COST)
+        return replace(scores, cost=np.where(other_unit, np.inf, cost))
 
     def _scale(self, table: OrientedRows) -> Floats:
         """Size of a channel's signals for 1 g, (3,)."""
@@ -325,16 +328,8 @@ def put_right(table: OrientedRows, supposition: Reinterpretation) -> OrientedRow
     kept = np.ones(len(table), dtype=bool) if supposition.source is None else supposition.source >= 0
     label = table.label if supposition.label is None else supposition.label
     angle = table.angle_rad if supposition.angle_rad is None else supposition.angle_rad
-    return OrientedRows(
-        table.rows[kept],
-        table.mounts,
-        table.mount[kept],
-        table.pass_number[kept],
-        label[kept],
-        angle[kept],
-        supposition.signal(table)[kept],
-        table.unit,
-    )
+    signal = supposition.signal(table)
+    return replace(table, label=label, angle_rad=angle, signal=signal).select(kept)
 
 
 def _best_of_each(supposed: Sequence[Reinterpretation], cost: Floats) -> Iterator[int]:

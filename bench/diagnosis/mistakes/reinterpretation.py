@@ -60,6 +60,18 @@ class OrientedRows:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def select(self, kept: Mask) -> OrientedRows:
+        """Return the rows where the mask (n,) is true."""
+        return replace(
+            self,
+            rows=self.rows[kept],
+            mount=self.mount[kept],
+            pass_number=self.pass_number[kept],
+            label=self.label[kept],
+            angle_rad=self.angle_rad[kept],
+            signal=self.signal[kept],
+        )
+
     @property
     def labels(self) -> list[str]:
         """The installations that occur, in order of appearance."""
