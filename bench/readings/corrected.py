@@ -226,6 +226,7 @@ class MistakeName(StrEnum):
     OUTLIER = "outlier"
     WRONG_UNIT = "wrong_unit"
     ANOTHER_BLOCK = "another_block"
+    STUCK_CHANNEL = "stuck_channel"
     OTHER_MOUNTING = "other_mounting"
     """The block was mounted differently in an unknown way; other mistakes may look like this."""
 

@@ -104,6 +104,8 @@ BIAS_U_G: Final = 0.5
 
 LEAST_COST: Final = 0.5 * SCALE_U**-2
 """A channel in another unit costs 0.8 / SCALE_U^2 at least: where all cost less, nothing is looked for."""
+LEFT_OF_UNIT: Final = 0.1
+"""Signals in another unit explain the misfit but for this part: one ten times too large is 99 % of it."""
 LEAST_FALL: Final = 150.0
 """A mistake lowers the cost by as much at least; a wrong sign of a scale factor costs 400."""
 FITS: Final = 4.0
@@ -238,9 +240,10 @@ class GrossSearch:
         mean, precision = self._prior(scale)
         scores = _fit(columns, signal, weight.astype(np.float64), mean, precision, self.gross_g * scale)
         cost = scores.misfit - 2.0 * np.array([s.log_jacobian for s in supposed])
-        # another unit brings the channels to their data sheet, or it is none
-        other_unit = np.array([s.factor is not None for s in supposed]) & (scores.sheet > LEAST_COST)
-        return replace(scores, cost=np.where(other_unit, np.inf, cost))
+        # another unit brings the channels to their data sheet and the readings together, or it is none
+        apart = (scores.sheet > LEAST_COST) | (scores.misfit > LEFT_OF_UNIT * scores.misfit[0])
+        other_unit = np.array([s.factor is not None for s in supposed])
+        return replace(scores, cost=np.where(other_unit & apart, np.inf, cost))
 
     def _scale(self, table: OrientedRows) -> Floats:
         """Size of a channel's signals for 1 g, (3,)."""

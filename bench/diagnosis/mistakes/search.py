@@ -54,9 +54,10 @@ class Mistake:
     """A mistake, where it was made, and how the copy has it put right.
 
     `name` is one of swapped_channels, reversed_polarity, reversed_rotation, swapped_installations,
-    shifted_points, wrong_setting, outlier, wrong_unit, another_block. `installations` are written as `str(Mount)`;
-    none means the whole run. `words` is a sentence; `p` counts all looks. `cannot_tell_from` are names of what
-    looks alike in these readings ("other_mounting": the block sat on the platform otherwise).
+    shifted_points, wrong_setting, outlier, wrong_unit, another_block, stuck_channel. `installations` are
+    written as `str(Mount)`; none means the whole run. `words` is a sentence; `p` counts all looks.
+    `cannot_tell_from` are names of what looks alike in these readings ("other_mounting": the
+    block sat on the platform otherwise).
     """
 
     name: str
@@ -182,11 +183,17 @@ def _pass_mistake(view: _FirstGuess, of_pass: PassMistake) -> Mistake:
     conditions = view.problem.conditions
     row = int(np.argmax(of_pass.rows))
     mount, number = str(conditions.mounts[conditions.mount[row]]), int(conditions.pass_number[row])
-    if of_pass.off_rad is None:
+    channels: tuple[str, ...] = ()
+    if of_pass.channel is not None:
+        name, channels = MistakeName.STUCK_CHANNEL, (CHANNELS[of_pass.channel],)
+        said = (
+            f"channel {channels[0]} reads the same at all points, as if stuck; the copy leaves the pass out"
+        )
+    elif of_pass.off_rad is None:
         name, channels = MistakeName.ANOTHER_BLOCK, tuple(CHANNELS)
         said = "another block was mounted: K and U0 of all channels are others; the copy leaves the pass out"
     else:
-        name, channels = MistakeName.WRONG_SETTING, ()
+        name = MistakeName.WRONG_SETTING
         off = np.degrees(of_pass.off_rad)
         said = (
             f"the signals stand as if the head had been {off:+.4g}° from where it says: its zero or its index was "
@@ -199,7 +206,7 @@ def _pass_mistake(view: _FirstGuess, of_pass: PassMistake) -> Mistake:
 
 
 def _pass_put_right(readings: Readings, view: _FirstGuess, of_pass: PassMistake) -> Readings:
-    """Return a copy with the angles of a pass put right, or without the pass of another block."""
+    """Return a copy with the angles of a pass put right, or without the pass."""
     rows = view.table.rows[of_pass.rows]
     if of_pass.off_rad is None:
         said = _pass_mistake(view, of_pass).words.split(":")

@@ -1,4 +1,4 @@
-"""One pass that is off as a whole: the head read wrong by a mark of its scale, or another block mounted.
+"""One pass that is off as a whole: angles read wrong by a mark of the scale, a stuck channel, another block.
 
 Each description of the pass gives the signals of its rows columns with normal priors. The descriptions are compared
 by one evidence. A mistake must be likelier than all effects that may act in one pass together.
@@ -53,14 +53,16 @@ STEPS: Final = 3
 
 @dataclass(frozen=True)
 class PassMistake:
-    """A mistake that holds for the `rows` (n,) of a pass: the angle is off by `off_rad`, or None: another block.
+    """A mistake that holds for the `rows` (n,) of a pass.
 
-    `p` is one over the odds against readings without a mistake, for each look. `ties` are effects that may explain
-    the pass as well.
+    The angle is off by `off_rad`, or the `channel` (0, 1, 2) is stuck, or both are None: another block. `p` is one
+    over the odds against readings without a mistake, for each look. `ties` are effects that may explain the pass as
+    well.
     """
 
     rows: Mask
     off_rad: float | None
+    channel: int | None
     p: float
     ties: tuple[str, ...] = ()
 
@@ -122,21 +124,23 @@ def find_in_pass(
     """
     turn = turns(problem.conditions)
     passes = _strange_passes(problem, signal, floor, turn, fit)
-    looks = max(len(np.unique(turn)) * (len(MARKS_RAD) + 1), 1)
+    looks = max(len(np.unique(turn)) * (len(MARKS_RAD) + 4), 1)
     found: list[tuple[float, PassMistake]] = []
     for number in passes:
         one = _make(problem, signal, floor, turn == number, fit)
         nothing = one.evidence(np.zeros((len(turn), 3, 0)))
         effects = list(_of_effects(one))
-        mistakes: list[tuple[float, float | None]] = [(_of_mark(one, off), off) for off in MARKS_RAD]
-        mistakes.append((one.evidence(_another_block(one)), None))
-        log_mistake, off = max(mistakes, key=lambda pair: pair[0])
+        mistakes: list[tuple[float, float | None, int | None]]
+        mistakes = [(_of_mark(one, off), off, None) for off in MARKS_RAD]
+        mistakes += [(_stuck(one, channel), None, channel) for channel in range(3)]
+        mistakes.append((one.evidence(_another_block(one)), None, None))
+        log_mistake, off, channel = max(mistakes, key=lambda mistake: mistake[0])
         whole = float(logsumexp([log_mistake, nothing, *(log_effect for _, log_effect in effects)]))
         odds = log_mistake - nothing - float(np.log(looks))
         if log_mistake - whole > np.log(LIKELIER) and odds > np.log(ODDS):
             ties = dict.fromkeys(name for name, log_effect in effects if log_effect - whole > np.log(TIED))
             p = max(float(np.exp(-odds)), np.finfo(float).tiny)
-            found.append((odds, PassMistake(one.rows, off, p, tuple(ties))))
+            found.append((odds, PassMistake(one.rows, off, channel, p, tuple(ties))))
     likeliest = max(found, key=lambda pair: pair[0], default=None)
     return None if likeliest is None else likeliest[1], looks
 
@@ -225,6 +229,17 @@ def _of_mark(one: _Pass, off_rad: float) -> float:
     mean = one.problem.prior_mean
     moved = there.predict(one.block, mean) - one.problem.predict(one.block, mean)
     return one.evidence(np.zeros((*moved.shape, 0)), moved) - float(np.log(len(MARKS_RAD)))
+
+
+def _stuck(one: _Pass, channel: int) -> float:
+    """Return ln of the evidence of a channel that reads the same, whatever it is, throughout the pass."""
+    deaf = np.outer(one.rows, np.eye(3)[channel]) == 1.0
+    model = np.where(deaf[:, :, None], 0.0, one.model.columns)
+    about = replace(one.about, slope=np.where(deaf, 0.0, one.about.slope))
+    scale = float(np.linalg.norm(one.block.K[channel]))
+    same = (BIAS_U_G * scale * deaf)[:, :, None]
+    stuck = replace(one, model=replace(one.model, columns=model), about=about)
+    return stuck.evidence(same, np.where(deaf, -(one.force @ one.block.K.T), 0.0))
 
 
 def _another_block(one: _Pass) -> Floats:

@@ -112,10 +112,16 @@ def test_other_voltmeters_in_a_pass_are_no_other_block(channels):
         assert "another_block" not in [m.name for m in find(run([110, seed], added=meters)).mistakes]
 
 
-def test_a_channel_that_is_stuck_in_a_pass_is_no_other_block():
-    for seed in range(3):
-        good, (label, number) = run([111, seed]), of_a_pass(np.random.default_rng([112, seed]))
+def test_a_channel_that_is_stuck_in_a_pass_is_named_and_its_pass_left_out():
+    """At each value that it may have had, in a channel that moves with the head or across it."""
+    for seed in range(6):
+        rng = np.random.default_rng([112, seed])
+        good, (label, number), channel = run([111, seed]), of_a_pass(rng), seed % 3
         rows = (good.installation == label) & (good.pass_number == number)
         signal = good.signal.copy()
-        signal[rows, seed] = signal[np.argmax(rows), seed]
-        assert "another_block" not in [m.name for m in find(replace(good, signal=signal)).mistakes]
+        signal[rows, channel] = signal[rng.choice(np.flatnonzero(rows)), channel]
+        found = find(replace(good, signal=signal))
+        (mistake,) = found.mistakes
+        assert (mistake.name, mistake.channels) == ("stuck_channel", ("xyz"[channel],)), seed
+        assert (mistake.installations, mistake.pass_number) == ((label,), number)
+        assert len(found.corrected) == len(good) - 9
