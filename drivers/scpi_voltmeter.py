@@ -71,6 +71,8 @@ class ScpiVoltmeter(ABC):
     """Pattern of the makers' names in the identity."""
     models: tuple[str, ...] = ()
     """The names of the accepted models in the identity."""
+    not_live: str = ""
+    """Why it must not be read lightly between readings; empty where it may."""
     called: str = ""
     """The expected meter in the error for a wrong instrument: "a 34401A"."""
     hint: str = ""

@@ -162,6 +162,16 @@ class SimulatedBench:
     ) -> None:
         self._stack.close()
 
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Let instruments be read without a trace in the world; see `World.aside`."""
+        with self.world.aside():
+            yield
+            self.traffic.settle()
+        for dialect in self.dialects.values():
+            if isinstance(dialect, GpibAdapter):
+                dialect.return_to_present()
+
     @property
     def resources(self) -> dict[str, str]:
         """The resource by name, "TCPIP0::127.0.0.1::40123::SOCKET"; on a bus "prologix://127.0.0.1:40123/22"."""

@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from bench.base.files import from_text, open_regular
 from bench.base.numbers import without_infinity
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import BenchFile, load_bench
@@ -23,6 +24,7 @@ from bench.readings.reading import Reading
 from bench.run.early_warning import watcher_of
 from bench.run.events import Event, EventType, RecordError
 from bench.run.folder import BENCH, Run
+from bench.run.live import LIVE
 from bench.run.person import AskedPrompt
 from bench.run.record import is_being_written
 from bench.run.terminal import TimeLeft
@@ -200,6 +202,16 @@ class Follower:
         asked = self._seen.prompt
         return asked if self._alive and asked is not None and asked.event.number > self._unheard else None
 
+    def live(self) -> bytes:
+        """Return the latest live value of an open question as JSON; empty where there is none."""
+        if self.prompt is None:
+            return b""
+        try:
+            with open_regular(self._folder / LIVE) as file:
+                return file.read(MOST_LIVE)
+        except OSError:
+            return b""
+
     @property
     def waiting(self) -> bool:
         """Whether queued readings are still to be compared with their predictions."""
@@ -237,6 +249,9 @@ BEAT_S: Final = 2.0
 LINGER_S: Final = 30.0
 """Time (s) for which a follower without viewers is kept, so that a reloaded page finds it again."""
 
+MOST_LIVE: Final = 4096
+"""Largest file of a live value, bytes."""
+
 JUDGED_AT_ONCE: Final = 20
 """Number of readings judged between updates, so that a long run can be viewed while it is judged."""
 
@@ -248,6 +263,15 @@ def as_event(name: str, data: Any) -> bytes:
     """Return a server-sent event with JSON data, which never contains a line end."""
     text = json.dumps(without_infinity(data), ensure_ascii=True, separators=(",", ":"))
     return f"event: {name}\ndata: {text}\n\n".encode()
+
+
+def as_live(value: bytes) -> bytes:
+    """Return a server-sent event with a live value that the run's program wrote, {} for none or a broken one."""
+    try:
+        told = from_text(value) if value else {}
+    except ValueError:
+        told = {}
+    return as_event("live", told if isinstance(told, dict) else {})
 
 
 class SharedFollower:
@@ -265,6 +289,7 @@ class SharedFollower:
         self.points = PlottedPoints()
         self.state: dict[str, Any] = {}
         self.sent_state = b""
+        self.live = b""
         self.trouble = ""
         self.watchers = 0
         self._ready = asyncio.Event()
@@ -321,13 +346,14 @@ class SharedFollower:
                     break
         if follower.points_version != before:
             self.points = follower.points()
+        before_live, self.live = self.live, follower.live()
         added = self._add(self._folder)
         if read or added != self._added or not self.state:
             self._added = added
             self.state = {**follower.state(), **added}
             self.sent_state = as_event("state", self.state)
             return True
-        return follower.points_version != before
+        return follower.points_version != before or self.live != before_live
 
 
 class Followers:
@@ -354,13 +380,13 @@ class Followers:
             self._leave(folder, shared)
 
     async def stream(self, folder: Path) -> AsyncIterator[bytes]:
-        """Yield server-sent events of a run for one viewer: "state", "points", "beat" and "trouble".
+        """Yield server-sent events of a run for one viewer: "state", "points", "live", "beat" and "trouble".
 
         Raises `RecordError` before the first event if the record cannot be read.
         """
         shared = await self._of(folder)
         try:
-            told, sent = PlottedPoints(), b""
+            told, sent, live = PlottedPoints(), b"", b""
             while True:
                 if shared.trouble:
                     yield as_event("trouble", {"words": shared.trouble})
@@ -369,6 +395,9 @@ class Followers:
                 if shared.sent_state is not sent:
                     sent = shared.sent_state
                     yield sent
+                if shared.live != live:
+                    live = shared.live
+                    yield as_live(live)
                 if (points := shared.points) is not told:
                     yield as_event("points", points.since(told))
                     told = points

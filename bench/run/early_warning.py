@@ -26,6 +26,7 @@ from bench.run.expectation import (
     SETTING,
     EarlySign,
     Expectation,
+    ExpectedSignals,
     NoiseSizes,
     ReadingJudgement,
     RepeatNoise,
@@ -164,6 +165,20 @@ class EarlyWarning:
             ahead._state.remount(ahead._stand_u)
         ahead._state.loosen(sighting.loosened)
         return ahead._state.judge(sighting.signal_v, sighting.pose, ahead.noise)
+
+    def expect(self, reading: Reading) -> ExpectedSignals | None:
+        """Return the signals expected of a reading that is not taken yet; None without a known orientation."""
+        if reading.angle_deg is None or reading.installation not in self._oriented:
+            return None
+        ahead = copy.deepcopy(self)
+        sighting = ahead._sight(reading)
+        if sighting.new_mount:
+            ahead._state.remount(ahead._stand_u)
+        ahead._state.loosen(sighting.loosened)
+        only_reading = replace(ahead.noise, setting_rad=0.0)
+        judged = ahead._state.judge(np.zeros(3), sighting.pose, only_reading)
+        slope = (ahead._state.scale_factors @ sighting.pose.slopes)[0, :, SETTING]
+        return ExpectedSignals(-judged.residual[0], slope, judged.covariance[0])
 
     def take(self, reading: Reading) -> list[EarlySign]:
         """Judge a reading and learn from it; return the early signs, usually none.

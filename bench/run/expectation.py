@@ -227,6 +227,30 @@ class Expectation:
         self.covariance = 0.5 * (lessened + np.swapaxes(lessened, 1, 2))
 
 
+@dataclass(frozen=True)
+class ExpectedSignals:
+    """The signals expected at the commanded angle, V, shape (3,), given the readings before.
+
+    `slope` is their derivative by the head's angle, V/rad, shape (3,); `covariance` (3, 3), V², is that of the
+    expectation and of one reading.
+    """
+
+    signals: Floats
+    slope: Floats
+    covariance: Floats
+
+    def deviation_rad(self, signals: Floats) -> tuple[float, float]:
+        """Return by how much the head is beyond the commanded angle, and the standard uncertainty, rad.
+
+        The estimate is the generalised least-squares solution for a small angle.
+        """
+        weighted = np.linalg.solve(self.covariance, self.slope)
+        information = float(self.slope @ weighted)
+        if information <= 0.0:
+            return 0.0, math.inf
+        return float(weighted @ (signals - self.signals)) / information, 1.0 / math.sqrt(information)
+
+
 MOST_TOLD: Final = 3
 """Greatest number of causes named in a sign; if there are more, the sign states their number as well."""
 

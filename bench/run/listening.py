@@ -12,6 +12,7 @@ from typing import Any, Final, Protocol
 
 from bench.run.events import EventType, Wish
 from bench.run.interrupts import interrupt_main
+from bench.run.live import LiveSignals
 from bench.run.person import (
     NOBODY_KNOWN,
     AnswersFile,
@@ -149,6 +150,7 @@ class Asker:
         clock: Clock | None = None,
     ) -> None:
         self.meanwhile: Callable[[], None] | None = None
+        self.live: LiveSignals | None = None
         self.answered_by = NOBODY_KNOWN
         self.terminal = terminal
         if terminal is not None:
@@ -180,12 +182,16 @@ class Asker:
             self._id = f"{prompt.id}@{self._record.count + 1}"
             self._tell(EventType.ASKED, asked_to_json(replace(prompt, id=self._id)))
         self._prompt, self._refused = prompt, ""
+        if self.live is not None:
+            self.live.begin(replace(prompt, id=self._id))
         try:
             text = self._in_folder() if self.terminal is None else self._at_terminal(self.terminal, prompt)
         except _Elsewhere as found:
             text = str(found)
         finally:
             self._prompt = None
+            if self.live is not None:
+                self.live.end()
         return Answer(prompt.id, text)
 
     def drain(self) -> None:
@@ -234,6 +240,8 @@ class Asker:
                 continue
             self._take(left, prompt)
             raise _Elsewhere(left.answer.strip())
+        if self.live is not None:
+            self.live.look()
         if self.meanwhile is not None and self._clock.now_s() - self._looked_s >= LOOK_S:
             self._looked_s = self._clock.now_s()
             self.meanwhile()

@@ -134,6 +134,8 @@ class Runner:
         )
         if people.asker is not None:
             people.asker.attach(recorder.tell, people.controls)
+            if people.asker.live is not None:
+                people.asker.live.attach(self._workbench)
         if bench.feeding is not None and (supply := bench.instruments.power_supply) is not None:
             power = UnitPower(
                 supply, bench.feeding, people.person, bench.clock, self._now_s, self._hear, recorder.tell

@@ -208,6 +208,7 @@ class TerminalPerson:
         self._console = console
         self._pause = pause
         self._go_on = go_on
+        self._has_live_line = False
         if isinstance(answers, io.TextIOWrapper) and answers.errors != "backslashreplace":
             answers.reconfigure(
                 errors="backslashreplace"
@@ -265,11 +266,21 @@ class TerminalPerson:
     def _line(self, prompt: Prompt) -> str:
         _forget_typed_ahead(self._answers)
         self._say(f"» {prompt.text}", "bold")
+        self._has_live_line = self.by_hand and self._console.is_terminal
+        if self._has_live_line:
+            self._console.print()  # the line in which the signals are shown
         self._say(f"  [{self._hint(prompt)}] ", end="")
         line = self._reader.read(self.meanwhile, self.slice_s)
         if line and not self._answers.isatty():
             self._console.print(Text(line.rstrip()))  # echo the line as a terminal does for typed input
         return line
+
+    def show_live(self, line: str) -> None:
+        """Show a line above the one being typed, at a terminal; the cursor stays where it is."""
+        if self._has_live_line:
+            cut = line[: max(self._console.width - 3, 0)]
+            self._console.file.write(f"\x1b7\x1b[1A\r\x1b[2K  {cut}\x1b8")
+            self._console.file.flush()
 
     @staticmethod
     def _hint(prompt: Prompt) -> str:

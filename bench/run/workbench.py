@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -237,6 +238,7 @@ class BenchSetup:
     setting_u_rad: float = 0.0
     slow_chamber_s: float = SLOW_AFTER_S
     feeding: Feeding | None = None
+    aside: Callable[[], AbstractContextManager[None]] = nullcontext
 
 
 @dataclass
@@ -264,6 +266,7 @@ class Workbench:
     _settings: VoltmeterSettings | None = field(default=None, init=False)
     _level_zero: Inclination | None = field(default=None, init=False)
     _chamber_c: float | None = field(default=None, init=False)
+    _before_glances: tuple[VoltmeterSettings | None] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self.instruments, self.clock = self.bench.instruments, self.bench.clock
@@ -398,6 +401,27 @@ class Workbench:
         self._configure(VoltmeterSettings(self.bench.range_v, QUICK_NPLC, self.bench.least_samples))
         samples = self._sample(self.instruments.voltmeters)
         return tuple(samples[channel][-1] for channel in CHANNELS)
+
+    @property
+    def voltmeters(self) -> Sequence[Voltmeter]:
+        """The meters of the bench."""
+        return self.instruments.voltmeters
+
+    def glance(self) -> tuple[float, ...]:
+        """Return the present signals x, y, z, V, between two readings and without a trace. Raises `BenchError`."""
+        with self.bench.aside():
+            if self._before_glances is None:
+                self._before_glances = (self._settings,)
+            return self._quick_signals()
+
+    def end_of_glances(self) -> None:
+        """Restore the settings that the meters had before the first glance. Raises `BenchError`."""
+        if self._before_glances is None:
+            return
+        (settings,), self._before_glances = self._before_glances, None
+        if settings is not None:
+            with self.bench.aside():
+                self._configure(settings)
 
     def do_input(self, step: SelectInput) -> InputSelected:
         """Ask the person to switch the inputs of the voltmeters to the signals, a short, or a reference voltage."""

@@ -23,7 +23,7 @@ from bench.config.model_file import load_model
 from bench.config.procedure.load import Procedure, check, load_procedure
 from bench.config.shipped import find_procedure
 from bench.run.assembly.served import Assembly, dry_bench, real_bench
-from bench.run.early_warning import watcher_of
+from bench.run.early_warning import EarlyWarning, watcher_of
 from bench.run.events import (
     ENDED,
     Event,
@@ -48,11 +48,12 @@ from bench.run.folder import (
 from bench.run.instruments import with_notes
 from bench.run.interrupts import Interrupts
 from bench.run.listening import Asker, ClockWatch, WishListener
+from bench.run.live import LiveSignals
 from bench.run.person import NOBODY_KNOWN, ControlFile, WishAuthor, agree, at_the_shell
 from bench.run.power import Feeding
 from bench.run.record import History, Record, is_being_written, read_history, resume_point
 from bench.run.resume import PlanProgress
-from bench.run.runner import People, Recorder, RunAborted, Runner
+from bench.run.runner import Observer, People, Recorder, RunAborted, Runner
 from bench.run.samples import SLOW_AFTER_S
 from bench.run.sentences import TERMINAL, RunLog, sentence
 from bench.run.terminal import ProgressBar, TerminalPerson
@@ -354,9 +355,10 @@ def carry_out(
             # a stopped dry run is resumed by a person, who can be asked
             decider = heard.asker if history else None
             people = People(assembly.person, decider, heard.asker, heard.wishes, hold_signals=signals.hold)
+            live = _live(run, bench, watcher, heard.asker)
             recorder = Recorder(
                 record,
-                observers=(*assembly.observers, watcher.observe, bar, RunLog(run.folder, run.plan)),
+                observers=(*assembly.observers, watcher.observe, *live, bar, RunLog(run.folder, run.plan)),
                 progress=history.progress.copy() if history else PlanProgress(),
                 clocks=None if run.simulated else ClockWatch(utc_now, assembly.clock.now_s),
             )
@@ -382,6 +384,16 @@ def carry_out(
         raise Refused(f"{with_notes(error)}; {_kept(record)}") from error
     finally:
         record.close()
+
+
+def _live(run: Run, bench: BenchFile, watcher: EarlyWarning, asker: Asker | None) -> list[Observer]:
+    """Have the signals shown while a question waits, where a person is asked; return the observers for that."""
+    if asker is None:
+        return []
+    shown = (lambda line: None) if asker.terminal is None else asker.terminal.show_live
+    least_v_g = min(abs(scale) for scale in bench.unit_under_test.scale_factors.values)
+    asker.live = LiveSignals(run.folder, run.plan, watcher, least_v_g, shown)
+    return [asker.live.observe]
 
 
 def _on_certificates(
@@ -422,6 +434,7 @@ def _setup(bench: BenchFile, assembly: Assembly) -> BenchSetup:
         least_samples=bench.least_samples,
         setting_u_rad=bench.stand_distributions()["setting_error"].u,
         slow_chamber_s=chamber.slow_after if isinstance(chamber, ControlledChamberForm) else SLOW_AFTER_S,
+        aside=assembly.aside,
         feeding=None if feed is None or supply is None else Feeding(feed, supply.limits),
     )
 

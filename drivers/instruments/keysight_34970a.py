@@ -43,6 +43,7 @@ class Keysight34970A(ScpiVoltmeter):
     does not have, for duplicates, and for an invalid delay.
     """
 
+    not_live = "a scanner's relays wear with every look, so it is read at readings only"
     models = facts.MODELS
     called = "a 34970A or 34972A"
 

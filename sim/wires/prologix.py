@@ -124,6 +124,11 @@ class _BusDevice:
         self.reply = self.dialect.handle(message, never)
         self.ready_s = self._clock.now_s()
 
+    def return_to_present(self) -> None:
+        """Return to the bench's time."""
+        self._clock.return_to_present()
+        self.ready_s = min(self.ready_s, self._clock.now_s())
+
     def clear(self) -> None:
         """Carry out a selected device clear."""
         self.reply = None
@@ -185,6 +190,11 @@ class GpibAdapter(PlainDialect):
         instrument = make(clock)
         self._devices[address] = _BusDevice(instrument, clock)
         return instrument
+
+    def return_to_present(self) -> None:
+        """Have all instruments return to the bench's time."""
+        for device in self._devices.values():
+            device.return_to_present()
 
     def let_through(self, address: int, dialect: Dialect) -> None:
         """Route messages for the instrument at `address` through `dialect`, for example one with faults."""

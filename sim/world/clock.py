@@ -46,6 +46,12 @@ class VirtualClock:
         with self._lock:
             self._now_s = max(self._now_s, time_s)
 
+    def return_to(self, time_s: float) -> None:
+        """Go back to `time_s`: what was done since then took no time."""
+        self._settle()
+        with self._lock:
+            self._now_s = float(time_s)
+
     def _settle(self) -> None:
         if self.before_advance is not None:
             self.before_advance()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 from bisect import bisect_right
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,6 +15,7 @@ import numpy as np
 from bench.base.arrays import CHANNELS, Floats
 from bench.model.geometry import STAND_ANGLES, Distribution, stand_errors
 from sim.world.chance import KeyedNumbers
+from sim.world.clock import VirtualClock
 from sim.world.pose import (
     HeadFault,
     HeadTurn,
@@ -26,7 +29,7 @@ from sim.world.pose import (
 from sim.world.power import Power, PowerSettings, dead_v
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from bench.model.forward import ForwardModel
     from bench.model.geometry import Block
@@ -218,6 +221,8 @@ class World(KeyedNumbers):
         self._read: list[Visit] = []
         self._level_turned = False
         self._triggered: dict[int, tuple[int, ...]] = {}
+        self._asides = itertools.count(1)
+        self._aside = False
 
     def _draw(self, name: str, generator: np.random.Generator) -> float:
         return self.settings.stand.get(name, _NO_ERROR).draw(generator)
@@ -230,6 +235,23 @@ class World(KeyedNumbers):
                 **{n: self._draw(n, self.fixed_random(n, series, installation)) for n in STAND_ANGLES}
             )
         return self._stands_rad[place]
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Let instruments be read without a trace: afterwards time, history and random numbers are as before.
+
+        Its own random numbers belong to no step. Only a virtual clock can go back.
+        """
+        with self._lock:
+            now_s, kept = self.clock.now_s(), (self._step, self._counts.copy(), self._aside)
+            self._step, self._aside = f"aside {next(self._asides)}", True
+        try:
+            yield
+        finally:
+            if isinstance(self.clock, VirtualClock):
+                self.clock.return_to(now_s)
+            with self._lock:
+                self._step, self._counts, self._aside = kept
 
     # --- actions on the bench -----------------------------------------------------------------------
 
@@ -350,6 +372,8 @@ class World(KeyedNumbers):
         in which channels are begun is the scan order, unless the step stated one.
         """
         with self._lock:
+            if self._aside:  # the meter's error and the history stay those of the last reading
+                return self.count("reading", channel)
             now_s, pose = self.clock.now_s(), self._poses[-1]
             index, before = CHANNELS.index(channel), self._triggered.get(id(pose), ())
             in_turn = (index,) if index in before else (*before, index)

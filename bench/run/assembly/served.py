@@ -6,7 +6,7 @@ import json
 import math
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -106,6 +106,7 @@ class Assembly:
     """An assembled bench: instruments, the person who answers prompts, the clock, and observers of the run.
 
     `sessions` are the sessions of the wired instruments; `simulated` is the simulated bench of a dry run.
+    `aside` surrounds readings that leave no trace in a simulated world.
     `at_resumed_time` sets the simulated clock to the bench time at which a run is resumed, s.
     """
 
@@ -116,6 +117,7 @@ class Assembly:
     at_resumed_time: Callable[[float], None] | None = None
     sessions: Mapping[str, MessageSession] = field(default_factory=dict)
     simulated: SimulatedBench | None = None
+    aside: Callable[[], AbstractContextManager[None]] = nullcontext
 
 
 def real_bench(
@@ -179,7 +181,14 @@ def dry_bench(
         instruments = instruments_of(bench, given)
         _recall(world, taken)
         yield Assembly(
-            instruments, operator, clock, (key_world,), clock.advance_to, given.sessions, simulated
+            instruments,
+            operator,
+            clock,
+            (key_world,),
+            clock.advance_to,
+            given.sessions,
+            simulated,
+            simulated.aside,
         )
 
 
