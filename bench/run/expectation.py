@@ -229,21 +229,14 @@ class Expectation:
 
 @dataclass(frozen=True)
 class ExpectedSignals:
-    """The signals expected at the commanded angle, V, shape (3,), given the readings before.
-
-    `slope` is their derivative by the head's angle, V/rad, shape (3,); `covariance` (3, 3), V², is that of the
-    expectation and of one reading.
-    """
+    """The expected `signals` (3,), V, of a reading, their `slope` (3,) by the angle, V/rad, and covariance."""
 
     signals: Floats
     slope: Floats
     covariance: Floats
 
     def deviation_rad(self, signals: Floats) -> tuple[float, float]:
-        """Return by how much the head is beyond the commanded angle, and the standard uncertainty, rad.
-
-        The estimate is the generalised least-squares solution for a small angle.
-        """
+        """Return by how much the head is beyond the commanded angle, and the standard uncertainty (GLS), rad."""
         weighted = np.linalg.solve(self.covariance, self.slope)
         information = float(self.slope @ weighted)
         if information <= 0.0:
