@@ -57,7 +57,7 @@ class Prose:
 
 def sentences(text: str) -> list[str]:
     """Return the sentences of a page, each item of a list at least one."""
-    text = _ITEM.sub("\n\n", _LEFT_OUT.sub("\n\n", _PICTURE.sub("", text)))
+    text = _ITEM.sub("\n\n", _PICTURE.sub("", _LEFT_OUT.sub("\n\n", text)))
     text = re.sub(r"``.*?``|`[^`]*`", "Code", text)
     text = re.sub(r"\[([^\]]*)\](?:\([^)]*\)|\[[^\]]*\])", r"\1", text)
     found = (one.strip() for part in re.split(r"\n\s*\n", text) for one in _END.split(part))
