@@ -106,7 +106,7 @@ def short_tables(result: Stored) -> str:
         columns = _columns(of_kind)
         shares = {c: [Share(*row["score"][c]) for row in of_kind if c in row["score"]] for c in columns}
         same = [c for c in columns if {share.part for share in shares[c] if share.of} in ({0.0}, {1.0})]
-        keys = [row["row"].removeprefix(f"{kind} ") for row in of_kind]
+        keys = [_within_kind(row) for row in of_kind]
         left = [c for c in columns if c not in same]
         counts = (f"{c} {sum(s.successes for s in shares[c])}/{sum(s.of for s in shares[c])}" for c in same)
         first.append(f"| {kind} | {len(keys) if left else '; '.join(keys)} | {'; '.join(counts)} |")
@@ -138,8 +138,12 @@ def _table(rows: Sequence[Stored], columns: Sequence[str]) -> str:
         cells = [str(Share(*row["score"].get(column, (0, 0)))) for column in columns]
         if gaps:
             cells += [f"{row['gap'][w]:.3f}" if row["gap"] else "–" for w in ("before", "after")]
-        lines.append(f"| {row['row']} | " + " | ".join(cells) + " |")
+        lines.append(f"| {_within_kind(row)} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def _within_kind(row: Stored) -> str:
+    return str(row["row"]).removeprefix(row["kind"]).lstrip(" :")
 
 
 def current_part(page: Path = PAGE) -> str:
