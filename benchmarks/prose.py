@@ -31,7 +31,7 @@ _PICTURE: Final = re.compile(
     r"!\[[^\]]*\]\([^)]*\)|^```\{(?:figure|image)\}.*$|^```\{include\} reference/_panel\.md$", re.M
 )
 _ITEM: Final = re.compile(r"^\s*(?:[-*+]|\d+\.|:|>)\s+", re.M)
-_END: Final = re.compile(r"(?<!\b[A-Za-z])(?<!e\.g)(?<!i\.e)[.!?][\"'”’)*_]*\s+(?=[\"'“‘(*_]*[^\sa-z])")
+_END: Final = re.compile(r"(?<!\b[A-Z])(?<!e\.g)(?<!i\.e)[.!?][\"'”’)*_]*\s+(?=[\"'“‘(*_]*[^\sa-z])")
 
 
 @dataclass(frozen=True)
