@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import io
 import math
+import os
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from rich.console import Console
 
 from bench.config.bench_file.file import load_bench
+from bench.config.devices.registry import devices
 from bench.config.procedure.load import load_procedure
 from bench.config.procedure.plan import Turn
 from bench.config.shipped import find_bench, find_procedure
+from bench.panel.run_state import prompt_of
+from bench.run.assembly.served import LivingOperator
 from bench.run.events import Event, EventType
 from bench.run.folder import Run
 from bench.run.listening import Asker
+from bench.run.person import AskedPrompt
 from bench.run.sentences import said
-from drivers.person import AnsweredByInstrument, Prompt, PromptKind, watching
+from bench.run.terminal import TerminalPerson
+from drivers.person import Answer, AnsweredByInstrument, Prompt, PromptKind, watching
 from sim.world.operator import ScriptedOperator
+from tests.support.instrument_stand import standing
 
 TURN = Prompt("1/turn#1", PromptKind.CONFIRM, "Turn.", default="yes")
 
@@ -145,3 +156,50 @@ def test_a_whole_dry_run_takes_no_key_for_a_reading(bench, monkeypatch):
     for angle_rad in readings.angle_rad:
         off = min(abs(math.remainder(angle_rad - step.target_rad, math.tau)) for step in turns)
         assert off <= tolerance_rad
+
+
+def test_the_terminal_rings_once_the_encoder_has_answered(clock):
+    shown = io.StringIO()
+    keys, _ = os.pipe()
+    with os.fdopen(keys, encoding="utf-8") as answers:
+        person = TerminalPerson(answers, Console(file=shown, force_terminal=True))
+        put(person, clock, arrives_at(0.0, clock), every_s=0.01)
+    assert shown.getvalue().endswith("\a")
+
+
+def test_on_a_page_a_turn_that_an_encoder_reads_is_confirmed_and_not_typed():
+    action = {"do": "turn", "target_rad": 1.0, "direction": 1, "read_by": "encoder"}
+    event = Event(1, "2026-11-21T10:00:00+00:00", 0.0, "asked", {})
+    told = prompt_of(
+        AskedPrompt(event, replace(TURN, action=action)), SimpleNamespace(turned=None, mounted=None), {}
+    )
+    assert told["target"] == "57°17′45″"
+    assert told["buttons"][0] == {"text": "", "label": "Yes"}
+
+
+@pytest.mark.parametrize(("typed", "answer"), [(False, "yes"), (True, "45 00 02")])
+def test_at_a_simulated_bench_a_living_person_says_that_the_simulated_hand_turns(tmp_path, typed, answer):
+    device = devices().get("heidenhain-nd28x")
+    with standing(device, tmp_path, typed="yes" if typed else "no") as stand:
+
+        class Living:
+            meanwhile = None
+
+            def ask(self, prompt):
+                assert stand.world.scale_angle_rad == 0.0
+                return Answer(prompt.id, answer)
+
+        stand.driver._person = LivingOperator(Living(), stand.driver._person)
+        stand.driver.open()
+        position = stand.driver.move(math.radians(45.0), 1, "1/turn")
+        assert position.angle_rad == pytest.approx(math.radians(45.0), abs=1e-4)
+        assert stand.world.direction == 1
+
+
+@pytest.mark.slow
+def test_an_evening_with_an_encoder_finds_that_all_works(bench):
+    status, out, err = bench(
+        "instruments", "--commission", "--dry-run", "--bench", "bench-encoder", "--out", "evening"
+    )
+    assert (status, err) == (0, ""), out
+    assert "was turned to" in out
