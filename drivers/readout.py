@@ -39,6 +39,8 @@ PATIENCE_S: Final = 10.0
 """So long beyond its settling time may a head move after the person has confirmed, s."""
 MOST_ATTEMPTS: Final = 20
 """So often is a person asked to come to one angle."""
+UNWATCHED: Final = "Here the head is seen at your answers alone: answer where you have backed off, too."
+"""What is told where the head cannot be watched while a question waits."""
 ENCODER: Final = "encoder"
 """Who answers in the person's place, for the record."""
 
@@ -87,6 +89,8 @@ class Track:
     def __init__(self, approach: Approach, target_rad: float, direction: Direction) -> None:
         self.told = False
         """Whether the person was told that the head came from the wrong side."""
+        self.looks = 0
+        """How many angles were taken in."""
         self._approach = approach
         self._target_rad = target_rad
         self._direction = direction
@@ -103,6 +107,7 @@ class Track:
             slack_rad = approach.rest_rad + approach.tolerance_rad
             if way_rad > approach.speed_rad_s * (time_s - last_s) + slack_rad:
                 return way_rad
+        self.looks += 1
         self._seen.append((time_s, offset_rad))
         while len(self._seen) > 1 and self._seen[1][0] <= time_s - approach.settle_s:
             self._seen.popleft()
@@ -290,6 +295,7 @@ class ReadOutHead(ABC):
 
     def _asked(self, prompt: Prompt, track: Track) -> str:
         """Have the head turned; return a sentence on what is wrong with where it stands, empty for nothing."""
+        looks_before = track.looks
         try:
             with watching(self._person, partial(self._watch, track), LOOK_S, self._clock):
                 answer = self._person.ask(prompt)
@@ -300,7 +306,9 @@ class ReadOutHead(ABC):
         typed = answer.text.strip()
         if not self._approach.typed and typed.lower() in _NO:
             return "There is no hurry."
-        return self._come_to_rest(track) or (self._misread(typed, track) if self._approach.typed else "")
+        watched = track.looks > looks_before
+        problem = self._come_to_rest(track) or (self._misread(typed, track) if self._approach.typed else "")
+        return problem if watched or not problem else f"{problem} {UNWATCHED}"
 
     def _watch(self, track: Track) -> None:
         """Look at the encoder while the person turns. Raises `AnsweredByInstrument` where nobody confirms."""

@@ -10,7 +10,10 @@ from drivers.facts import heidenhain_nd28x as facts
 from drivers.instruments.heidenhain_nd28x import HeidenhainNd28x
 from drivers.interfaces import BadReading, Identity, InstrumentRefused
 from drivers.readout import Approach, ScaleOfEncoder
+from drivers.wire.replay import WireLog, replayed
+from sim.counters import HeidenhainNd28x as SimulatedNd28x
 from tests.support.scripted_session import ScriptedSession, swapped, until
+from tests.support.simulated_stand import a_world, served
 
 ESC = "\x1b"
 OPENED_281B = [
@@ -118,3 +121,43 @@ def test_zero_and_sense_are_counted_in():
     counter, _ = head(OPENED_281B, READ, zero_rad=math.radians(50.0028), falling=True)
     counter.open()
     assert math.degrees(counter.position_rad()) == pytest.approx(5.0)
+
+
+def test_a_session_with_a_name_of_three_lines_goes_through_again(tmp_path):
+    log = WireLog(tmp_path / "wire.log")
+    with served(
+        SimulatedNd28x(world := a_world()),
+        "head",
+        world,
+        read_termination=facts.READ_TERMINATION,
+        write_termination=facts.WRITE_TERMINATION,
+        wire=log,
+    ) as session:
+        of_wire = HeidenhainNd28x(
+            "head", session, world.clock, None, APPROACH, model="ND-281B", scale=ScaleOfEncoder()
+        )  # type: ignore[arg-type]
+        identity = of_wire.open()
+        of_wire.position_rad()
+        of_wire.close()
+    log.close()
+    with replayed(log.path, "head") as (session, clock):
+        again = HeidenhainNd28x(
+            "head", session, clock, None, APPROACH, model="ND-281B", scale=ScaleOfEncoder()
+        )  # type: ignore[arg-type]
+        assert again.open() == identity
+        assert again.position_rad() == 0.0
+
+
+@pytest.mark.parametrize("reply", [b"ND-281B\r\n349797-04", b"ND-281B\r\n349797-04\r\n2001-05-04\r\nmore"])
+def test_a_name_that_is_cut_or_followed_by_more_is_refused(reply):
+    class Wrong(SimulatedNd28x):
+        @property
+        def _device(self):
+            return reply.decode()
+
+    world = a_world()
+    ends = {"read_termination": facts.READ_TERMINATION, "write_termination": facts.WRITE_TERMINATION}
+    with served(Wrong(world), "head", world, timeout_s=0.1, **ends) as session, pytest.raises(BadReading):
+        HeidenhainNd28x(
+            "head", session, world.clock, None, APPROACH, model="ND-281B", scale=ScaleOfEncoder()
+        ).open()  # type: ignore[arg-type]

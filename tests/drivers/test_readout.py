@@ -249,6 +249,25 @@ def test_whoever_cannot_be_watched_with_is_asked_and_the_encoder_read_after_it()
     assert head.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45.001 * DEG)
 
 
+def test_where_nothing_can_be_watched_the_side_is_seen_at_the_answers():
+    clock, ways, prompts = Clock(), [45.001, 40.0, 45.001], []
+
+    class Plain:
+        def ask(self, prompt):
+            prompts.append(prompt.text)
+            head.degrees = [ways.pop(0)]
+            clock.sleep(60.0)
+            return Answer(prompt.id, "yes")
+
+    head = Encoder(Plain(), APPROACH, clock)
+    head.degrees = [60.0]
+    head.open()
+    assert head.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45.001 * DEG)
+    assert prompts[1].startswith("The head did not come from below")
+    assert "answer where you have backed off, too" in prompts[1]
+    assert ways == []
+
+
 def test_a_stale_answer_confirms_nothing():
     head, person = turned(APPROACH, ([*COMING], "yes"), ([45.001], "yes"))
     ask, stale = person.ask, ["0/turn#1"]
