@@ -127,6 +127,16 @@ def format_dms(angle_rad: float, decimals: int = 0) -> str:
     return f"{sign}{degrees}°{minutes:02d}′{seconds:02d}{tail}″"
 
 
+def scale_text(angle_rad: float) -> str:
+    """Return an angle as the scale shows it, with as many decimals of a second (at most 3) as it needs."""
+    shown_rad = angle_rad if 0.0 <= angle_rad <= math.tau else angle_rad % math.tau
+    for decimals in range(3):
+        text = format_dms(shown_rad, decimals)
+        if abs(parse_angle(text) - shown_rad) < ROUNDING_RAD:
+            return text
+    return format_dms(shown_rad, 3)
+
+
 def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> str | None:
     """Return in words the common mistake that turns `target_rad` into `read_rad`, or None.
 

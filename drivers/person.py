@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Final, Literal, NotRequired, Protocol, TypedDict, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Final, Literal, NotRequired, Protocol, TypedDict, TypeVar, runtime_checkable
 
 from drivers.interfaces import Direction, LevelAxis
+
+if TYPE_CHECKING:
+    from drivers.clock import Clock
 
 
 class PromptKind(StrEnum):
@@ -34,6 +38,11 @@ class TurnHead(TypedDict):
     target_rad: float
     direction: Direction
     tolerance_rad: NotRequired[float]
+    read_by: NotRequired[Literal["encoder"]]
+    """An encoder reads the angle: the head is to come to it from `backoff_rad` away."""
+    backoff_rad: NotRequired[float]
+    hands_free: NotRequired[bool]
+    """The encoder answers in the person's place, once the head stands at the target."""
 
 
 class SetChamber(TypedDict):
@@ -183,8 +192,65 @@ class WatchingPerson(Protocol):
         """Show the prompt and wait for the answer, as `Person.ask`."""
 
 
+class AnsweredByInstrument(Exception):
+    """A question needs no person any more: `meanwhile` raises it, and `ask` passes it on.
+
+    `by` is who answers ("encoder"), `text` the answer. A `problem` is a sentence why it is none yet.
+    """
+
+    def __init__(self, by: str, text: str, problem: str = "") -> None:
+        super().__init__(text)
+        self.by = by
+        self.text = text
+        self.problem = problem
+
+
+@runtime_checkable
+class _LooksAsTold(Protocol):
+    """A `WatchingPerson` that calls `meanwhile` every `slice_s`, s."""
+
+    slice_s: float
+
+
+@contextmanager
+def watching(person: Person, look: Callable[[], None], every_s: float, clock: Clock) -> Iterator[None]:
+    """Have `look` called while a question to `person` waits, beside what is watched then already.
+
+    It is called every `every_s`, s, where the person can be told so, and never where nothing can be watched.
+    """
+    if not isinstance(person, WatchingPerson):
+        yield
+        return
+    before, told = person.meanwhile, person if isinstance(person, _LooksAsTold) else None
+    before_s = 0.0 if told is None else told.slice_s
+    due_s = clock.now_s()
+
+    def both() -> None:
+        nonlocal due_s
+        if before is not None and clock.now_s() >= due_s:
+            due_s = clock.now_s() + before_s
+            before()
+        look()
+
+    person.meanwhile = both
+    if told is not None:
+        told.slice_s = every_s
+    try:
+        yield
+    finally:
+        person.meanwhile = before
+        if told is not None:
+            told.slice_s = before_s
+
+
 ATTEMPTS: Final = 5
 """How often a question is asked at most."""
+
+APPROACH: Final[dict[Direction, str]] = {
+    1: "approach with the angle rising, from below",
+    -1: "approach with the angle falling, from above",
+}
+"""The side of an approach, as a person is told it."""
 
 _Read = TypeVar("_Read")
 

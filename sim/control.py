@@ -12,6 +12,7 @@ import re
 import shlex
 from typing import TYPE_CHECKING, Final, cast
 
+from sim.counters import Counter
 from sim.wires.faults import Fault
 from sim.wires.session import PlainDialect
 from sim.world.pose import HeadFault
@@ -28,7 +29,8 @@ if TYPE_CHECKING:
 HELP: Final = {
     "state": "what is true: angle, installation, temperatures, time, faults",
     "mount INSTALLATION [SERIES]": "mount the block",
-    "turn ANGLE [rising|falling]": "turn the head until its scale shows the angle: 45 deg, -30 arcsec, 0.1 rad",
+    "turn ANGLE [rising|falling]": "turn the head until its scale shows the angle: 45 deg, -30 arcsec, 0.1 rad; "
+    "where an encoder watches, the head turns there from where it is, at 20 deg/s",
     "chamber TEMPERATURE": "set the air of the chamber at once: 50 degC",
     "fault [INSTRUMENT] KIND [KEY=VALUE …]": "arm a fault: fault voltmeter.x late seconds=2 matching=READ?; "
     "without probability, at or matching it strikes the next exchange",
@@ -52,6 +54,10 @@ _RADIANS: Final = {
 _CELSIUS: Final = ("", "degC", "°C")
 _QUANTITY: Final = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S*)")
 _DIRECTIONS: Final[dict[str, Direction]] = {"rising": 1, "falling": -1}
+
+
+CRANK_RAD_S: Final = math.radians(20.0)
+"""How fast the head is turned where an encoder watches, rad/s."""
 
 
 class ControlError(Exception):
@@ -132,7 +138,10 @@ class BenchControl(PlainDialect):
         angle_rad = _angle_rad(words if direction is None else words[:-1])
         if direction is None:
             direction = 1 if angle_rad >= self._bench.world.scale_angle_rad else -1
-        self._bench.world.turn(angle_rad, direction)
+        if any(isinstance(dialect, Counter) for dialect in self._bench.dialects.values()):
+            self._bench.world.move_head(angle_rad, CRANK_RAD_S)
+        else:
+            self._bench.world.turn(angle_rad, direction)
 
     def _chamber(self, words: list[str]) -> None:
         self._bench.world.set_chamber(_celsius(words))

@@ -94,7 +94,7 @@ def _choice(choice: str) -> dict[str, str]:
 
 def _label(told: Mapping[str, Any], default: str) -> str:
     match told["do"]:
-        case "turn":
+        case "turn" if told["kind"] != PromptKind.CONFIRM:
             return f"It stands at {default}"
         case "wait":
             return "Continue"

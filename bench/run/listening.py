@@ -14,6 +14,7 @@ from bench.run.events import EventType, Wish
 from bench.run.interrupts import interrupt_main
 from bench.run.live import LiveSignals
 from bench.run.person import (
+    INSTRUMENT,
     NOBODY_KNOWN,
     AnswersFile,
     ControlFile,
@@ -22,6 +23,7 @@ from bench.run.person import (
     NoControls,
     RunControl,
     Stopped,
+    WishAuthor,
     asked_to_json,
     problem_with_answer,
     raised,
@@ -29,7 +31,7 @@ from bench.run.person import (
 from bench.run.terminal import TerminalPerson, heard_at
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import NoAnswer
-from drivers.person import Answer, Prompt
+from drivers.person import Answer, AnsweredByInstrument, Prompt
 
 GAP_S: Final = 30.0
 """Least jump of civil time against bench time that is reported, s; ordinary clock adjustments are smaller."""
@@ -151,6 +153,7 @@ class Asker:
     ) -> None:
         self.meanwhile: Callable[[], None] | None = None
         self.live: LiveSignals | None = None
+        self.slice_s = LOOK_S
         self.answered_by = NOBODY_KNOWN
         self.terminal = terminal
         if terminal is not None:
@@ -242,9 +245,13 @@ class Asker:
             raise _Elsewhere(left.answer.strip())
         if self.live is not None:
             self.live.look()
-        if self.meanwhile is not None and self._clock.now_s() - self._looked_s >= LOOK_S:
+        if self.meanwhile is not None and self._clock.now_s() - self._looked_s >= self.slice_s:
             self._looked_s = self._clock.now_s()
-            self.meanwhile()
+            try:
+                self.meanwhile()
+            except AnsweredByInstrument as seen:
+                self._note(seen, prompt)
+                raise
 
     def _hear(self, control: RunControl, prompt: Prompt) -> None:
         if control.wish in (heard_at(prompt) if self._wishes is None else self._wishes):
@@ -272,6 +279,15 @@ class Asker:
         self.answered_by, self._answered = given.who, given.id
         text = given.answer.strip() or prompt.default or ""
         self._tell(EventType.ANSWERED, _told(replace(given, answer=text)))
+
+    def _note(self, seen: AnsweredByInstrument, prompt: Prompt) -> None:
+        """Record the answer of an instrument, or why it is none: then the question is put again."""
+        given = LeftAnswer(self._id, seen.text, WishAuthor(by=seen.by, where=INSTRUMENT))
+        if not seen.problem:
+            self._take(given, prompt)
+            return
+        self._refuse(given, seen.problem)
+        self._refused = prompt.id.rpartition("#")[0]
 
     def _refuse(self, given: LeftAnswer, why: str) -> None:
         self._tell(EventType.ANSWER_REFUSED, {**_told(given), "why": why})

@@ -48,6 +48,8 @@ class WishAuthor:
 
 
 NOBODY_KNOWN: Final = WishAuthor()
+INSTRUMENT: Final = "instrument"
+"""The place of an author that is an instrument, which answers where nobody has to."""
 
 
 def at_the_shell(where: str) -> WishAuthor:

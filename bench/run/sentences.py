@@ -92,6 +92,8 @@ def _by(data: Mapping[str, Any]) -> str:
     where = data.get("where", "")
     if where in ("", TERMINAL):
         return ""
+    if where == "instrument":
+        return f" by the {data.get('by')}"
     at = "by command" if where == "command" else f"in the {where}"
     return f" {at} by {data['by']}" if data.get("by") else f" {at}"
 

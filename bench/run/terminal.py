@@ -24,7 +24,7 @@ from bench.run.resume import steps_of
 from bench.run.samples import Settling
 from bench.run.sentences import duration, sentence
 from drivers.interfaces import NoAnswer
-from drivers.person import Answer, Prompt, PromptKind
+from drivers.person import Answer, AnsweredByInstrument, Prompt, PromptKind
 
 SLICE_S: Final = 1.0
 
@@ -236,6 +236,9 @@ class TerminalPerson:
             while line.startswith(SIGN) or line.strip() == HELP:
                 self._say(self._to_extra(prompt, line))
                 line = self._line(prompt)
+        except AnsweredByInstrument:
+            self._console.bell()
+            raise
         finally:
             self._go_on()
         if not line:

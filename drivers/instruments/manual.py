@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import Final
 
-from drivers.angles import ROUNDING_RAD, format_dms, parse_angle, read_angle, typed_bubble, typed_temperature
+from drivers.angles import format_dms, read_angle, scale_text, typed_bubble, typed_temperature
 from drivers.interfaces import (
     BadReading,
     Direction,
@@ -18,7 +17,7 @@ from drivers.interfaces import (
     LevelSizes,
     LimitExceeded,
 )
-from drivers.person import ATTEMPTS, Person, Prompt, PromptKind, ask_until
+from drivers.person import APPROACH, ATTEMPTS, Person, Prompt, PromptKind, ask_until
 
 
 class ByHand:
@@ -39,11 +38,6 @@ class ByHand:
 
 
 # --- the head ---------------------------------------------------------------------------------------
-
-_APPROACH: Final[dict[Direction, str]] = {
-    1: "approach with the angle rising, from below",
-    -1: "approach with the angle falling, from above",
-}
 
 
 class ManualHead(ByHand):
@@ -87,17 +81,15 @@ class ManualHead(ByHand):
         except ValueError as trouble:
             raise LimitExceeded(
                 self.name,
-                f"no reading within {format_dms(self._tolerance_rad)} of {_scale_text(target_rad)} "
+                f"no reading within {format_dms(self._tolerance_rad)} of {scale_text(target_rad)} "
                 f"in {self._max_attempts} attempts ({trouble})",
                 "check the clamp, the scale and the procedure's angle, then take this point again",
             ) from None
         return HeadPosition(angle_rad, direction)
 
     def _prompt(self, target_rad: float, direction: Direction, prompt_id: str, trouble: str) -> Prompt:
-        target = _scale_text(target_rad)
-        task = (
-            f"Turn the head to {target}: {_APPROACH[direction]}; clamp; read again and type the angle read."
-        )
+        target = scale_text(target_rad)
+        task = f"Turn the head to {target}: {APPROACH[direction]}; clamp; read again and type the angle read."
         return Prompt(
             id=prompt_id,
             kind=PromptKind.ANGLE,
@@ -111,16 +103,6 @@ class ManualHead(ByHand):
                 "tolerance_rad": self._tolerance_rad,
             },
         )
-
-
-def _scale_text(angle_rad: float) -> str:
-    """Return an angle as the scale shows it, with as many decimals of a second (at most 3) as it needs."""
-    shown_rad = angle_rad if 0.0 <= angle_rad <= math.tau else angle_rad % math.tau
-    for decimals in range(3):
-        text = format_dms(shown_rad, decimals)
-        if abs(parse_angle(text) - shown_rad) < ROUNDING_RAD:
-            return text
-    return format_dms(shown_rad, 3)
 
 
 # --- the level --------------------------------------------------------------------------------------

@@ -144,8 +144,9 @@ class MessageSession:
         timeout_s: float | None = None,
         pattern: str | re.Pattern[str] | None = None,
         expected: str = "one line of text",
+        lines: int = 1,
     ) -> str:
-        """Send a command and return its reply without the termination.
+        """Send a command and return its reply without the termination; `lines` is how many lines it has.
 
         The whole reply must match `pattern` (default: printable ASCII), which `expected` describes in errors.
         Raises `InstrumentLost` if nothing arrives within `timeout_s` (None: the session's timeout), and
@@ -154,7 +155,7 @@ class MessageSession:
         allowed_s = self.timeout_s if timeout_s is None else timeout_s
         with self._exchange(command) as connection:
             self._send(connection, command)
-            reply = self._receive(connection, command, allowed_s)
+            reply = self._receive(connection, command, allowed_s, lines)
             fits = re.fullmatch(pattern or PRINTABLE, reply) is not None
             if not fits:  # the transport did not fail, so the wire log gets no "!" line
                 self._give_up()
@@ -265,29 +266,31 @@ class MessageSession:
                 "switch the instrument off and on and start again",
             )
 
-    def _receive(self, connection: Connection | AdapterConnection, command: str, allowed_s: float) -> str:
+    def _receive(
+        self, connection: Connection | AdapterConnection, command: str, allowed_s: float, lines: int
+    ) -> str:
         """Return one decoded reply without its termination; with a tail (`read_tail`), the reply is unchanged.
 
         Raises `InstrumentLost` or `BadReading` if no complete reply to `command` arrives within `allowed_s`.
         """
         if isinstance(connection, Connection) and connection.by_bytes:
-            data = self._read_line(connection, command, allowed_s)
+            data = self._read_lines(connection, command, allowed_s, lines)
         else:
             data = connection.take_message(self._haste.limited_s(allowed_s))
         reply = _text(data) if self._read_tail else _text(data).rstrip("\r\n")
-        self._log("<", reply)
+        self._log("<", _text(data) if lines > 1 else reply)
         return data.decode("latin-1") if self._read_tail else reply
 
-    def _read_line(self, connection: Connection, command: str, allowed_s: float) -> bytes:
+    def _read_lines(self, connection: Connection, command: str, allowed_s: float, lines: int) -> bytes:
         end = self._read_termination[-1:].encode("ascii")
         begun_s = self._clock.now_s()
         data = b""
-        while not self._whole(data, end):
+        while not self._whole(data, end, lines):
             if len(data) > _MAX_REPLY_BYTES or not self._comes(connection, begun_s, allowed_s):
                 raise self._incomplete(command, data, self._haste.limited_s(allowed_s))
-            if self._read_tail:
+            if self._read_tail or lines > 1:
                 chunk = connection.take_all()
-                data, more = data + chunk, self._behind(data + chunk, end) > 0
+                data, more = data + chunk, self._behind(data + chunk, end, lines) > 0
             else:
                 chunk, more = connection.take()
                 data += chunk
@@ -303,13 +306,19 @@ class MessageSession:
                 )
         return data
 
-    def _whole(self, data: bytes, end: bytes) -> bool:
-        return self._behind(data, end) >= 0 if self._read_tail else data.endswith(end)
+    def _whole(self, data: bytes, end: bytes, lines: int) -> bool:
+        if self._read_tail or lines > 1:
+            return self._behind(data, end, lines) >= 0
+        return data.endswith(end)
 
-    def _behind(self, data: bytes, end: bytes) -> int:
-        """Return the number of bytes after a reply and its tail; negative if the reply is incomplete."""
-        at = data.find(end)
-        return -1 if at < 0 else len(data) - at - len(end) - self._read_tail
+    def _behind(self, data: bytes, end: bytes, lines: int) -> int:
+        """Return how many bytes stand behind a reply of so many lines; negative where it has not all come."""
+        at = -1
+        for _ in range(lines):
+            at = data.find(end, at + 1)
+            if at < 0:
+                return -1
+        return len(data) - at - len(end) - self._read_tail
 
     def _comes(self, connection: Connection, begun_s: float, allowed_s: float) -> bool:
         """Wait for bytes, in slices so that haste takes effect; return False if none arrive in time."""
@@ -444,15 +453,19 @@ class ProvedSession:
                     raise
         return exchange()
 
-    def ask(self, command: str, pattern: str, expected: str, timeout_s: float | None = None) -> str:
+    def ask(
+        self, command: str, pattern: str, expected: str, timeout_s: float | None = None, lines: int = 1
+    ) -> str:
         """Send a query that may be repeated and return its reply. Raises as `MessageSession.query`."""
-        return self.repeating(lambda: self.command(command, pattern, expected, timeout_s))
+        return self.repeating(lambda: self.command(command, pattern, expected, timeout_s, lines))
 
-    def command(self, command: str, pattern: str, expected: str, timeout_s: float | None = None) -> str:
+    def command(
+        self, command: str, pattern: str, expected: str, timeout_s: float | None = None, lines: int = 1
+    ) -> str:
         """Send a command that has a reply, once only, and return the reply. Raises as `MessageSession.query`."""
         self.ensure_proved()
         self._leave_alone()
-        return self._session.query(command, timeout_s=timeout_s, pattern=pattern, expected=expected)
+        return self._session.query(command, timeout_s, pattern, expected, lines)
 
     def urgent(self, command: str, pattern: str, expected: str) -> str:
         """Send a command at once, proved or not, and return its reply: a stop must not wait for a proof."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from drivers.interfaces import Direction
-    from drivers.person import ReadSupply, SetSupply, SwitchSupply
+    from drivers.person import ReadSupply, SetSupply, SwitchSupply, TurnHead
     from sim.world.world import World
 
 
@@ -43,6 +43,9 @@ def work_supply(world: World, action: SetSupply | SwitchSupply | ReadSupply) -> 
 
 LOOK_S: Final = 10.0
 """Interval between calls of `meanwhile` during a task, s."""
+REST_LOOK_S: Final = 0.5
+LONGEST_WAIT_S: Final = 60.0
+"""Interval of these calls while the person waits for an encoder, and how long the person waits, s."""
 _SLIPS_ARCSEC: Final = (3600.0, -3600.0, 600.0, -600.0, 60.0, -60.0)
 
 
@@ -94,7 +97,7 @@ class ScriptedOperator:
         if action["do"] == "mount":
             text = self._mount(prompt, action)
         elif action["do"] == "turn":
-            text = self._turn(prompt.id, action["target_rad"], action["direction"])
+            text = self._turn(prompt, action)
         elif action["do"] == "set_temperature":
             self._pass_time(self._settings.task_time_s)
             self._world.set_chamber(action["target_c"])
@@ -132,30 +135,64 @@ class ScriptedOperator:
         self._turned_for = None
         return _confirmation(prompt)
 
-    def turn_to(self, prompt_id: str, angle_rad: float, direction: Direction) -> None:
-        """Turn the head until its scale shows `angle_rad`; it takes as long as when `ask` handles this prompt."""
+    def turn_to(
+        self, prompt_id: str, angle_rad: float, direction: Direction, backoff_rad: float | None = None
+    ) -> None:
+        """Turn the head until its scale shows `angle_rad`; it takes as long as when `ask` handles this prompt.
+
+        Where an encoder watches, the head comes to the angle from more than `backoff_rad` away.
+        """
         generator = self._generator("turn", prompt_id.partition("#")[0])
         generator.normal()  # skip the setting error: the next number, the time, is that of `_turn`
-        self._pass_time(float(generator.uniform(*self._settings.turn_time_s)))
+        duration_s = float(generator.uniform(*self._settings.turn_time_s))
+        if backoff_rad is not None:
+            self._approach(angle_rad, direction * backoff_rad, duration_s)
+            return
+        self._pass_time(duration_s)
         self._world.turn(angle_rad, direction)
 
-    def _turn(self, prompt_id: str, target_rad: float, direction: Direction) -> str:
-        step, _, attempt = prompt_id.partition("#")
+    def _turn(self, prompt: Prompt, action: TurnHead) -> str:
+        step, _, attempt = prompt.id.partition("#")
         settings = self._settings
         generator = self._generator("turn", step)
         deviation_rad = float(generator.normal(0.0, settings.setting_deviation_rad))
         duration_s = float(generator.uniform(*settings.turn_time_s))
-        scale_steps = round((target_rad + deviation_rad) / settings.resolution_rad)
+        scale_steps = round((action["target_rad"] + deviation_rad) / settings.resolution_rad)
         read_arcsec = scale_steps * settings.resolution_rad / ARCSEC
-        if self._turned_for == step:
+        slips = attempt in ("", "1") and generator.random() < settings.slip_probability
+        if "read_by" in action:
+            side = -1.0 if slips and prompt.kind is PromptKind.CONFIRM else 1.0
+            way_rad = side * action["direction"] * action.get("backoff_rad", 0.0)
+            self._approach(scale_steps * settings.resolution_rad, way_rad, duration_s)
+            if action.get("hands_free"):
+                self._wait_for_encoder()
+        elif self._turned_for == step:
             self._pass_time(settings.second_look_s)
         else:
             self._pass_time(duration_s)
-            self._world.turn(scale_steps * settings.resolution_rad, direction)
+            self._world.turn(scale_steps * settings.resolution_rad, action["direction"])
             self._turned_for = step
-        if attempt in ("", "1") and generator.random() < settings.slip_probability:
-            read_arcsec += float(generator.choice(_SLIPS_ARCSEC))
-        return scale_text(read_arcsec)
+        if prompt.kind is PromptKind.CONFIRM:
+            return _confirmation(prompt)
+        return scale_text(read_arcsec + (float(generator.choice(_SLIPS_ARCSEC)) if slips else 0.0))
+
+    def _approach(self, angle_rad: float, backoff_rad: float, duration_s: float) -> None:
+        """Turn the head under the eyes of an encoder: twice `backoff_rad` short of an angle, then to it.
+
+        A slip is one that comes from the other side: then `backoff_rad` has the other sign.
+        """
+        for end_rad, share in ((angle_rad - 2.0 * backoff_rad, 0.6), (angle_rad, 0.4)):
+            way_rad = abs(end_rad - self._world.scale_angle_rad)
+            if way_rad > 0.0:
+                self._world.move_head(end_rad, way_rad / (share * duration_s))
+            self._pass_time(share * duration_s)
+
+    def _wait_for_encoder(self) -> None:
+        """Stand beside a head at rest until what watches it answers, for a while."""
+        end_s = self._world.clock.now_s() + LONGEST_WAIT_S
+        while self.meanwhile is not None and self._world.clock.now_s() < end_s:
+            self._world.clock.sleep(REST_LOOK_S)
+            self.meanwhile()
 
     def _generator(self, purpose: str, step: str) -> np.random.Generator:
         return keyed_generator(self._world.settings.seed, "operator", purpose, step)

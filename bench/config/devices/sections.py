@@ -242,6 +242,11 @@ class HeadForm(DeviceSection):
     tolerance: SizeRad
     certificate: HeadCertificate | None = None
 
+    @property
+    def turned_by_hand(self) -> bool:
+        """Whether a person turns the head."""
+        return self.by_hand
+
 
 _NO_HEAD: Final = "expected more than nothing: no head is exact, and none turns without a speed"
 
@@ -287,6 +292,61 @@ class MotorisedHeadForm(HeadForm, WiredForm):
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
         """Return the speed of the head, deg/s."""
         return {"speed_deg_s": math.degrees(self.speed)}
+
+
+class ReadOutHeadForm(HeadForm, WiredForm):
+    """A head that a person turns, with an encoder that the program reads.
+
+    The person comes to an angle from at least `backoff` away. The head stands there within `tolerance`, when its
+    angle changed by no more than `rest` for the time `settle`. A change faster than `speed` is an error of the
+    encoder. With `hands_free`, the angle is read then without a key. With `typed`, the person types the angle on
+    the scale as well. The encoder shows `zero` at 0° of the scale; `falling` values fall where the angle rises.
+    """
+
+    tolerance: Annotated[SizeRad, above_zero(_NO_HEAD)]
+    backoff: SizeRad = math.radians(1.0)
+    rest: Annotated[SizeRad, above_zero("expected more than nothing: no encoder stands still")] = 2 * ARCSEC
+    settle: SpanS = 2.0
+    speed: Annotated[SpeedRadS, above_zero(_NO_HEAD)] = math.radians(90.0)
+    hands_free: bool = False
+    typed: bool = False
+    zero: AngleRad = 0.0
+    falling: bool = False
+
+    @model_validator(mode="after")
+    def _can_be_come_to(self) -> ReadOutHeadForm:
+        if self.backoff <= self.tolerance:
+            raise ValueError("the head must back off by more than its tolerance")
+        if self.settle == 0.0:
+            raise ValueError("expected a time longer than nothing for 'settle': rest is seen over a time")
+        if self.hands_free and self.typed:
+            raise ValueError("who types an angle has no hands free: state 'hands_free' or 'typed', not both")
+        return self
+
+    @property
+    def turned_by_hand(self) -> bool:
+        """Whether a person turns the head: always."""
+        return True
+
+    def approach(self) -> dict[str, Any]:
+        """Return how the head must come to an angle, for its driver (`drivers.readout.Approach`)."""
+        return {
+            "tolerance_rad": self.tolerance,
+            "backoff_rad": self.backoff,
+            "rest_rad": self.rest,
+            "settle_s": self.settle,
+            "speed_rad_s": self.speed,
+            "hands_free": self.hands_free,
+            "typed": self.typed,
+        }
+
+    def scale(self) -> dict[str, Any]:
+        """Return the relation of encoder and head, for its driver (`drivers.readout.ScaleOfEncoder`)."""
+        return {"zero_rad": self.zero, "falling": self.falling}
+
+    def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
+        """Return what every simulated counter is given."""
+        return {"zero_deg": math.degrees(self.zero), "falling": self.falling, "referenced": truth.homed}
 
 
 TEMPERATURE_RATE: Final = QuantityKind("a rate of temperature", "4 K/min", "K/s")

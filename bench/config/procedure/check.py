@@ -233,7 +233,7 @@ def operator_actions(plan: Plan, bench: BenchFile) -> int:
     A thermometer that a person reads is read once more at each mounting.
     """
     chamber = bench.instruments.chamber
-    turned = bench.instruments.head.by_hand
+    turned = bench.instruments.head.turned_by_hand
     heated = chamber is not None and chamber.by_hand
     thermometer = bench.instruments.thermometer
     told = heated if thermometer is None else thermometer.by_hand

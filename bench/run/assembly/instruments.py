@@ -14,6 +14,7 @@ from bench.config.devices.sections import (
     ControlledChamberForm,
     LevelForm,
     MotorisedHeadForm,
+    ReadOutHeadForm,
     ThermometerForm,
     VoltmeterForm,
     WiredSupplyForm,
@@ -26,6 +27,7 @@ from drivers.clock import Clock, Haste
 from drivers.interfaces import BenchError
 from drivers.motion import Travel
 from drivers.person import Person
+from drivers.readout import Approach, ScaleOfEncoder
 from drivers.wire.resources import Holding
 from drivers.wire.visa import MessageSession, SerialSettings, Wire
 from sim.bench import SimulatedMeter
@@ -131,6 +133,10 @@ def _driver(section: InstrumentForm, given: Surroundings) -> Any:
         return driver(section.name, section.inputs_used, session, given.clock, **options)
     if isinstance(section, MotorisedHeadForm):
         return driver(section.name, session, given.clock, Travel(**section.travel()), **options)
+    if isinstance(section, ReadOutHeadForm):
+        options["scale"] = ScaleOfEncoder(**section.scale())
+        approach = Approach(**section.approach())
+        return driver(section.name, session, given.clock, given.person, approach, **options)
     if isinstance(section, ControlledChamberForm):
         return driver(section.name, session, given.clock, ChamberLimits(*section.limits()), **options)
     if isinstance(section, WiredSupplyForm | LevelForm):

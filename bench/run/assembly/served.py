@@ -35,7 +35,7 @@ from bench.run.runner import Observer
 from drivers.angles import parse_angle
 from drivers.clock import Clock, Haste, SystemClock
 from drivers.interfaces import BenchError, Voltmeter
-from drivers.person import Answer, Person, Prompt, WatchingPerson
+from drivers.person import Answer, Person, Prompt, PromptKind, WatchingPerson
 from drivers.wire.resources import Holding
 from drivers.wire.visa import MessageSession, Wire
 from sim.bench import SimulatedBench
@@ -91,7 +91,9 @@ class LivingOperator:
             return answer  # invalid, so the caller asks again
         if action["do"] == "turn":
             typed = answer.text.strip() or prompt.default or ""
-            self._hands.turn_to(prompt.id, parse_angle(typed), action["direction"])
+            if prompt.kind is PromptKind.CONFIRM:  # an encoder reads the head that the hands turn now
+                return self._hands.ask(prompt) if typed.lower() not in NO else answer
+            self._hands.turn_to(prompt.id, parse_angle(typed), action["direction"], action.get("backoff_rad"))
         elif action["do"] in _DONE and answer.text.strip().lower() not in NO:
             self._hands.ask(prompt)
         return answer

@@ -11,7 +11,7 @@ from typing import Final, Protocol, runtime_checkable
 
 from bench.base.arrays import ARCSEC
 from bench.base.text import APPROACH, degrees
-from bench.config.devices.sections import ChamberForm, MotorisedHeadForm, SupplyForm
+from bench.config.devices.sections import ChamberForm, HeadForm, MotorisedHeadForm, SupplyForm
 from bench.run.commission.session import CheckEnded, CommissioningSession, Figure, Finding, State
 from drivers.angles import format_dms
 from drivers.interfaces import (
@@ -373,7 +373,8 @@ def check_level(evening: CommissioningSession) -> None:
 
 
 def _reversed(evening: CommissioningSession, level: Level) -> Finding:
-    if not evening.section(evening.instruments.head.name).by_hand:
+    form = evening.section(evening.instruments.head.name)
+    if not (isinstance(form, HeadForm) and form.turned_by_hand):
         evening.confirm("The head will turn to 0°. Is the way clear?", action={"do": "stand_clear"})
     evening.instruments.head.move(0.0, 1, "commission/level")
     first = _read_platform(evening, level, turned=False)

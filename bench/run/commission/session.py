@@ -24,7 +24,7 @@ from drivers.interfaces import (
     LimitExceeded,
     NoAnswer,
 )
-from drivers.person import Action, Answer, Person, Prompt, PromptKind
+from drivers.person import Action, Answer, Person, Prompt, PromptKind, WatchingPerson
 
 
 class State(StrEnum):
@@ -178,6 +178,16 @@ class CommissioningPerson:
 
     def __init__(self, person: Person) -> None:
         self._person = person
+
+    @property
+    def meanwhile(self) -> Callable[[], None] | None:
+        """The function that is called while a question waits, where the person can be watched with."""
+        return self._person.meanwhile if isinstance(self._person, WatchingPerson) else None
+
+    @meanwhile.setter
+    def meanwhile(self, look: Callable[[], None] | None) -> None:
+        if isinstance(self._person, WatchingPerson):
+            self._person.meanwhile = look
 
     def ask(self, prompt: Prompt) -> Answer:
         """Put the prompt; after any other wish, name the accepted wishes and put the prompt again."""
