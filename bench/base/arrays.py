@@ -1,4 +1,4 @@
-"""Array types, channel names and unit sizes for all packages."""
+"""Array types, names of the axes and sizes of units, which all packages import from here."""
 
 from __future__ import annotations
 
@@ -27,32 +27,29 @@ HOUR = 3600.0
 
 
 def unit_vectors(vectors: Floats) -> tuple[Floats, Floats]:
-    """Return the unit vectors (…, 3) of vectors (…, 3), zero for a zero vector, and the lengths (…)."""
+    """Return the directions (…, 3) of vectors (…, 3), zero for one without a length, and their lengths (…)."""
     length = np.linalg.norm(vectors, axis=-1)
     return vectors / np.where(length > 0, length, 1.0)[..., None], length
 
 
 def least_squares(columns: Floats, target: Floats) -> tuple[Floats, Floats]:
-    """Return the least-squares solution, (p,) or (p, k), and the residuals, in the target's shape.
-
-    `columns` is the design matrix (n, p), `target` has the shape (n,) or (n, k).
-    """
+    """Return the solution (p,) or (p, k) of columns (n, p) for a target (n,) or (n, k), and residuals."""
     solution, *_ = np.linalg.lstsq(columns, target, rcond=None)
     return np.asarray(solution), target - columns @ solution
 
 
 def rms(values: Floats) -> float:
-    """Return the root mean square of values of any shape, NaN for an empty array."""
+    """Return the root mean square of values of any shape; NaN where there are none."""
     return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
 
 def u_of(covariance: Floats) -> Floats:
-    """Return the standard uncertainties (m,) from a covariance matrix (m, m)."""
+    """Return the standard uncertainties (m,) that a covariance (m, m) has on its diagonal."""
     return np.sqrt(np.diag(covariance))
 
 
 class HasCovariance:
-    """A mixin that adds standard uncertainties to a class with a covariance matrix `covariance` (m, m)."""
+    """A mixin that adds standard uncertainties to a class with a `covariance` (m, m)."""
 
     covariance: Floats
 

@@ -1,4 +1,4 @@
-"""certificate: issue, amend, revoke, hand out again, verify and read certificates."""
+"""certificate: certificates issued, amended, revoked, handed out again and read."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 
 class IssueByDefault(TyperGroup):
-    """The commands on certificates; `issue` is the default if the first word is none of them."""
+    """The commands on certificates; what begins with none of them is to be issued."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the arguments, with `issue` inserted if the first word is not a command."""
+        """Put `issue` in front of a run."""
         first = next(iter(args), "--help")
         if first not in self.commands and first not in {"--help", "-h"}:
             args = ["issue", *args]

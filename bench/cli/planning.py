@@ -1,4 +1,4 @@
-"""check, init, budget, require, plan-points: preparations of a measurement."""
+"""check, init, budget, require, plan-points: what is known before anything is measured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The calibration and measurement capability that a laboratory's history shows, corrected for unit drift."""
+"""Calibration and measurement capability from a laboratory's history, drift of units taken out."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bench.stats.crossed_effects import Crossing
 from bench.stats.unit_histories import CalibrationSpread, Histories, Within, histories, spread_of
 
 EVERYDAY: Final = 0.5
-"""The default quantile of the stated u: the median."""
+"""The share of everyday calibrations that reach what is stated."""
 
 
 CONFIDENCE: Final = 0.95
@@ -27,14 +27,14 @@ LEAST_CALIBRATIONS: Final = 20
 
 
 LEAST_REPEATS: Final = 10
-"""A standard deviation with this many degrees of freedom has a relative uncertainty of 22 %."""
+"""With so many degrees of freedom a standard deviation is known to 22 %."""
 
 
 LEAST_DAYS: Final = 180
 
 
 LEAST_RUNS: Final = 3
-"""Fewer runs of a unit do not show its drift."""
+"""Of a unit; fewer tell nothing of its drift."""
 
 
 YEAR: Final = np.timedelta64(31_557_600, "s")
@@ -42,12 +42,11 @@ YEAR: Final = np.timedelta64(31_557_600, "s")
 
 @dataclass(frozen=True)
 class Capability:
-    """The calibration and measurement capability of a laboratory, for twelve coefficients: arrays are (12,).
+    """The capability, (12,) each: `stated` u at the share `quantile` with its limit `stated_most` of 95 %.
 
-    `stated` is the quantile `quantile` of the stated u, `stated_most` its upper 95 % limit. `spreads` (12 items)
-    has the scatter of repeated calibrations in excess of the stated u, the difference between benches and the drift
-    of units. `below` counts the calibrations with a stated U below the capability: their certificates must state
-    the capability.
+    `spreads` (12 items) has the scatter of calibrations of a unit in excess of what is stated, what benches differ
+    by and what units drift by. `below` counts calibrations whose stated U is below the capability: their
+    certificates are to state the latter.
     """
 
     quantile: float
@@ -62,29 +61,29 @@ class Capability:
 
     @property
     def scatter(self) -> Floats:
-        """Scatter of repeated calibrations in excess of the stated u, 1 σ, (12,)."""
+        """Scatter in excess of what is stated, 1 sigma, (12,)."""
         return np.array([one.scatter for one in self.spreads])
 
     @property
     def bench(self) -> Floats:
-        """Standard deviation between benches, (12,); NaN for a single bench."""
+        """What benches differ by, 1 sigma, (12,); NaN where there is one bench."""
         return np.array([one.bench for one in self.spreads])
 
     @property
     def u(self) -> Floats:
-        """The combined standard uncertainty of the capability, (12,)."""
+        """Combined standard uncertainty, (12,)."""
         return np.sqrt(self.stated**2 + self.scatter**2 + np.nan_to_num(self.bench) ** 2)
 
     @property
     def U(self) -> Floats:  # noqa: N802 - the symbol of the field
-        """The expanded uncertainty of the capability, k = 2, (12,)."""
+        """Expanded uncertainty, k = 2, (12,)."""
         return COVERAGE_FACTOR * self.u
 
 
 def capability(measured: ComparedCalibrations, quantile: float = EVERYDAY) -> Capability:
     """Return the capability that a laboratory's calibrations show.
 
-    Raises `CalibrationError` if the history is too short, with everything that it lacks.
+    Raises `CalibrationError` with all that the history lacks where it is too short to say.
     """
     (units, unit), (benches, bench) = coded(measured.unit), coded(measured.bench)
     _, kind = coded(measured.kind)
@@ -142,7 +141,7 @@ def _notes(found: tuple[CalibrationSpread, ...], of: Histories, *, several: bool
 
 
 def _ranks(count: int, quantile: float) -> tuple[int, int]:
-    """Return the indices in ascending order of a quantile of `count` values and of its upper 95 % limit."""
+    """Return the places, in rising order, of a quantile and of its upper limit of 95 %."""
     place = min(count - 1, int(np.ceil(quantile * count)) - 1)
     limit = int(stats.binom.ppf(CONFIDENCE, count, quantile))
     return max(place, 0), min(limit, count - 1)

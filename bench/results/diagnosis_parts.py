@@ -1,4 +1,4 @@
-"""Parts of the JSON of a diagnosis: findings, gap, noise, unnamed terms."""
+"""Parts of a diagnosis as it is written as JSON: what was found, the gap, the noise, the terms without a name."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ from pydantic import BeforeValidator, Field
 
 from bench.base.result_model import Real, ResultModel
 from bench.diagnosis.gap import FLOOR, UNDETERMINED, Fold, Gap, rms
+from bench.diagnosis.local_scatter import LocalScatter
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.noise_kinds import NoiseKind
 from bench.diagnosis.posterior import KnownTogether
-from bench.diagnosis.residual_model import FormTerm, FreeForm, LocalScatter
+from bench.diagnosis.residual_model import FormTerm, FreeForm
 
 VerdictOfCopy = Literal["agrees", "named", "confounded", "unknown"]
 
 
 class ValuePart(ResultModel):
-    """A parameter with its standard uncertainty; a shape parameter, which is chosen from a grid, has no u."""
+    """A parameter as estimated; without u a shape, which was tried."""
 
     value: float
     u: float = 0.0
@@ -25,7 +26,7 @@ class ValuePart(ResultModel):
 
 
 def _nested(values: Any) -> Any:
-    """Return values as nested dictionaries by installations, parameter and channel; empty levels are left out."""
+    """Return values by installations, parameter and channel, each level where there is one."""
     if not isinstance(values, tuple):
         return values
     tree: dict[str, Any] = {}
@@ -45,7 +46,7 @@ Parameters = Annotated[
 
 
 class MistakePlace(ResultModel):
-    """The place of a mistake, and the misfit of all readings (in units of noise) with and without the mistake."""
+    """Where a mistake is, and how the misfit of all readings, in units of their noise, changes when put right."""
 
     pass_number: int | None = Field(alias="pass")
     point: int | None
@@ -54,7 +55,7 @@ class MistakePlace(ResultModel):
 
 
 class FoundPart(ResultModel):
-    """The members that mistakes and effects share."""
+    """The members that a mistake and any effect found have in common."""
 
     name: str = Field(description="from the catalogue, or what kind of mistake or unnamed pattern it is")
     channels: list[str]
@@ -75,7 +76,7 @@ class FoundPart(ResultModel):
 
 
 class OddsPart(ResultModel):
-    """A possible name of an effect found, with its posterior probability."""
+    """A name that may stand in the place of an effect found, with its posterior probability."""
 
     name: str
     probability: float
@@ -107,7 +108,7 @@ class EffectPart(FoundPart):
 
 
 class FoldPart(ResultModel):
-    """The readings held out together, and the misfit with which the others predict them."""
+    """A fold: the readings held out, and how well the fit to all others predicts them."""
 
     what: str
     confirmable: bool = Field(description="whether the other readings determine the coefficients")
@@ -123,7 +124,7 @@ class FoldPart(ResultModel):
 
 
 class GapPart(ResultModel):
-    """The reduced chi-square of readings that were held out of the fit."""
+    """Reduced chi-square of readings that were not used in the fit."""
 
     before: Real = Field(
         description="with the model before; null where no fold measures it, `reason` says why"
@@ -156,7 +157,7 @@ class GapPart(ResultModel):
 
 
 class OfChannels(ResultModel):
-    """A number for each channel."""
+    """A number for each of the three channels."""
 
     x: float
     y: float
@@ -164,7 +165,7 @@ class OfChannels(ResultModel):
 
 
 class FindingPart(ResultModel):
-    """A noise larger than stated."""
+    """A noise that is larger than stated."""
 
     what: Literal["reading", "setting"]
     found: float
@@ -197,7 +198,7 @@ class NoisePart(ResultModel):
 
 
 class SizePart(ResultModel):
-    """The estimated size of a term; `channel` is null if all channels share it."""
+    """A size of a term, as estimated; `channel` is null where it is of all."""
 
     parameter: str
     channel: str | None
@@ -207,7 +208,7 @@ class SizePart(ResultModel):
 
 
 class TermPart(ResultModel):
-    """A term that describes an unnamed effect."""
+    """A term that describes what has no name."""
 
     name: str
     stage: str = Field(description="where it is added in the chain from the head to the voltmeter")
@@ -223,7 +224,7 @@ class TermPart(ResultModel):
 
 
 class FormFoldPart(ResultModel):
-    """The readings held out together from the search for unnamed terms."""
+    """A fold of readings that were held out of the search for terms."""
 
     what: str
     counted: bool
@@ -232,7 +233,7 @@ class FormFoldPart(ResultModel):
 
 
 class FormGapPart(ResultModel):
-    """The reduced chi-square of readings that were held out of the search for unnamed terms."""
+    """Reduced chi-square of readings that were not used to find the terms."""
 
     before: Real
     after: Real
@@ -245,7 +246,7 @@ class FormGapPart(ResultModel):
 
 
 class DarkPart(ResultModel):
-    """The dark uncertainty: the scatter of readings that remains unexplained."""
+    """The dark uncertainty: the misfit that stays unexplained in each reading."""
 
     value: float = Field(description="1 sigma; 0 where it is no more than chance gives")
     u: Real
@@ -254,7 +255,7 @@ class DarkPart(ResultModel):
 
 
 class FormPart(ResultModel):
-    """The terms that describe an unnamed effect."""
+    """Terms that describe what has no name."""
 
     terms: list[TermPart]
     instead_of: list[str] = Field(description="the named effects in whose place the terms are as plausible")
@@ -265,11 +266,11 @@ class FormPart(ResultModel):
     unit: str
 
 
-# --- conversion of a diagnosis to parts of its result -------------------------------------------------
+# --- from what was found to the result --------------------------------------------------------------
 
 
 def mistake_part(mistake: Mistake) -> EffectPart:
-    """Return the part of the result on a mistake."""
+    """Return a mistake as results have it."""
     return EffectPart.from_object(
         mistake,
         parameters=MistakePlace(
@@ -283,7 +284,7 @@ def mistake_part(mistake: Mistake) -> EffectPart:
 
 
 def gap_part(gap: Gap) -> GapPart:
-    """Return the part of the result on a gap; its sizes are null if no readings could be held out."""
+    """Return a gap as results have it; its sizes are null where no fold counts."""
     opened = bool(gap.folds)
     return GapPart.from_object(
         gap,
@@ -321,7 +322,7 @@ def _undetermined_part(label: str) -> FoldPart:
 
 
 def form_part(form: FreeForm) -> FormPart:
-    """Return the part of the result on the unnamed terms."""
+    """Return the terms that describe what has no name, as results have them."""
     dark = form.dark
     return FormPart.from_object(
         form,

@@ -1,4 +1,4 @@
-"""Parts that several results share."""
+"""Parts that several results have, each described once."""
 
 from __future__ import annotations
 
@@ -17,10 +17,7 @@ Part = TypeVar("Part", bound=ResultModel)
 
 
 def by_coefficient(part: type[Part], **columns: Iterable[Any]) -> dict[str, Part]:
-    """Return a part for each of the twelve coefficients, by name.
-
-    Each column has the values (12,) of one member of the part.
-    """
+    """Return a part for each of the twelve coefficients, by name; each column has the values of one member."""
     rows = zip(*columns.values(), strict=True)
     named = zip(COEFFICIENTS, rows, strict=True)
     return {name: part(**dict(zip(columns, row, strict=True))) for name, row in named}
@@ -31,18 +28,18 @@ TOO_FEW: Final = "lack of fit: too few repeats to tell"
 
 
 def fit_in_words(fit: LackOfFit, contradicted: str, what: str = REPEATS, untold: str = TOO_FEW) -> str:
-    """Return a lack-of-fit test in words: `contradicted` if it fails, `untold` if there are too few repeats."""
+    """Return the outcome of a test: `contradicted` where lack of fit is shown, `untold` without repeats."""
     if not math.isfinite(fit.p):
         return untold
     verdict = contradicted if fit.shown else "none shown at 1 %"
     return f"{what}: chi2 {fit.chi2:.1f} for {fit.dof}, p = {fit.p:.2g}: {verdict}"
 
 
-# --- sources of a result ------------------------------------------------------------------------------
+# --- what a result is made from ---------------------------------------------------------------------
 
 
 class BenchPart(ResultModel):
-    """The bench file that was used, and why that one was chosen."""
+    """The bench file that was used, and the reason."""
 
     name: str = Field(description="as it calls itself")
     file: str = Field(description="where it is")
@@ -51,12 +48,12 @@ class BenchPart(ResultModel):
 
     @property
     def words(self) -> str:
-        """The name of the bench, and why its file was chosen."""
+        """The name of the bench file, and the reason for it."""
         return f"{self.name}, {self.why}"
 
 
 class CorrectionPart(ResultModel):
-    """The certificate of an instrument, and whether the readings were corrected by it."""
+    """The certificate of an instrument, and the correction of the readings by it."""
 
     instrument: str = Field(description="its name in the bench file")
     certificate: str = Field(description="number")
@@ -81,14 +78,14 @@ class UnitPart(ResultModel):
 
 
 class RecordPart(ResultModel):
-    """The number of events and the hash of the last one, which identify a run's record."""
+    """The number of events and the last hash of a run's record, which identify it."""
 
     events: int
     head: str = Field(description="SHA-256 of the last line: the head of the chain of hashes")
 
 
 class FailedPart(ResultModel):
-    """A source that could not be evaluated; it takes the place of that source's result in a list of results."""
+    """A source that could not be evaluated. It stands in the list of results in the place of its result."""
 
     source: str = Field(description="as it was named on the command line")
     problem: str = Field(description="why, in a sentence")
@@ -119,7 +116,7 @@ class ExpandedPart(ValuePart):
 
 
 class CoefficientPart(ValuePart):
-    """One of the twelve coefficients, in unit/g or unit; `u` is the combined standard uncertainty."""
+    """One of the twelve coefficients, in unit/g or unit; its `u` is the combined one."""
 
     u_readings: float = Field(description="the part that the readings and the stand as it is stated show")
     U: float = Field(description="expanded uncertainty, k u")
@@ -128,7 +125,7 @@ class CoefficientPart(ValuePart):
 
 
 class FitPart(ResultModel):
-    """A test for lack of fit against the repeats."""
+    """Lack of fit against the repeats."""
 
     rms: Real = Field(description="root mean square of the residuals, unit of the signal")
     chi2: Real
@@ -137,14 +134,14 @@ class FitPart(ResultModel):
 
 
 class ReadingsPart(ResultModel):
-    """The numbers of readings used and skipped."""
+    """The numbers of readings, by their use."""
 
     used: int = Field(description="in the fit")
     skipped: int = Field(description="bad rows left out")
 
 
 class ChannelsPart(ResultModel):
-    """A value for each channel."""
+    """A size for each channel."""
 
     x: float
     y: float
@@ -152,7 +149,7 @@ class ChannelsPart(ResultModel):
 
 
 class UncertaintySourcePart(ResultModel):
-    """A source of uncertainty that does not show in the readings."""
+    """An error in u that no reading shows."""
 
     name: str = Field(description="as in `bench budget`")
     symbol: str
@@ -165,27 +162,27 @@ class UncertaintySourcePart(ResultModel):
 
 
 def uncertainty_source(source: SourceOfError) -> UncertaintySourcePart:
-    """Return the part of the result on an error source that the readings do not show."""
+    """Return an error that no reading shows, as results have it."""
     u = named(u_of(source.covariance))
     return UncertaintySourcePart.from_object(source, u=u, cancels_with_the_same_meters=source.cancels)
 
 
 def named(values: Floats) -> dict[str, float]:
-    """Return values (12,) as a dictionary by coefficient name."""
+    """Return values (12,) by the names of the coefficients."""
     return dict(zip(COEFFICIENTS, values.tolist(), strict=True))
 
 
 def values_with_u(values: Floats, u: Floats) -> dict[str, Any]:
-    """Return values (m,) and their standard uncertainties by name, for the first m of the twelve coefficients."""
+    """Return the first of the twelve coefficients (m,) by name, each with its standard uncertainty."""
     rows = zip(COEFFICIENTS, values.tolist(), u.tolist(), strict=False)
     return {name: {"value": value, "u": size} for name, value, size in rows}
 
 
 def by_channel(values: Floats) -> dict[str, float]:
-    """Return values (3,) as a dictionary by channel name."""
+    """Return values (3,) by the names of the channels."""
     return dict(zip(CHANNELS, values.tolist(), strict=True))
 
 
 def coefficient_unit(name: str, unit: str) -> str:
-    """Return the unit of a coefficient for signals in `unit`: "V/g" for "Kxx", "V" for "U0x"."""
+    """Return the unit of a coefficient for signals in `unit`."""
     return unit if name.startswith("U0") else f"{unit}/g"

@@ -42,14 +42,14 @@ class PointPart(ResultModel):
 
 
 class PopulationPart(ResultModel):
-    """The stated distribution of Δg over many blocks, in g."""
+    """Δg over many blocks as stated, g."""
 
     mean: float
     standard_deviation: float
 
 
 class GlobalRiskPart(ResultModel):
-    """The global risks of the decision rule for a population of blocks, at the point with the largest U."""
+    """The risks of the decision rule over all blocks of a population, at the point with the largest U."""
 
     false_accept: float = Field(description="part of all blocks that is accepted without conforming")
     false_reject: float = Field(description="part of all blocks that is not accepted and conforms")
@@ -57,7 +57,7 @@ class GlobalRiskPart(ResultModel):
 
 
 class VerdictPart(ResultModel):
-    """Δg at the verification points, and the verdict against the limit."""
+    """Δg at the verification points against the limit."""
 
     limit_g: float = Field(description="limit of |Δg|, local g")
     rule: Literal["simple acceptance", "guarded", "non-binary"] = Field(description="decision rule")
@@ -91,10 +91,9 @@ class VerdictPart(ResultModel):
 
 
 class VerifyResult(VerdictPart):
-    """Δg at the verification points, and the verdict against the limit.
+    """Δg at the verification points against the limit.
 
-    For several sources, the output is a list of these; a source that could not be evaluated has a `source-failed`
-    object in its place.
+    With several sources a list of these, and of `source-failed` where one could not be evaluated.
     """
 
     notes: list[str] = Field(description="what the statements mean and what can be done")
@@ -105,7 +104,7 @@ class VerifyResult(VerdictPart):
 
 
 class ReportResult(ResultModel):
-    """The path of the calibration report, and the verification in the report."""
+    """The path of the page of a calibration, and the verification in it."""
 
     report: str = Field(description="path of the page")
     bench: BenchPart
@@ -113,7 +112,7 @@ class ReportResult(ResultModel):
 
 
 def verdict_members(found: Verification) -> dict[str, Any]:
-    """Return the members of `VerdictPart` that are not attributes of a verification."""
+    """Return the members of a verdict that are not attributes of the verification."""
     risk, population, accepted = found.global_risk, found.population, found.passed or found.left_open
     return {
         **found.decision.to_json(),
@@ -126,7 +125,7 @@ def verdict_members(found: Verification) -> dict[str, Any]:
 
 
 def verify_result(found: Verification, **made_from: Any) -> VerifyResult:
-    """Return the result of a verification; `made_from` are the members from `notes` on."""
+    """Return a verification as `--json` writes it; `made_from` are the members from `notes` on."""
     return VerifyResult.from_object(found, **verdict_members(found), **made_from)
 
 
@@ -134,7 +133,7 @@ def verify_result(found: Verification, **made_from: Any) -> VerifyResult:
 
 
 def verification_table(found: Verification) -> Table:
-    """Return a table of Δg at each verification point, with the statement and the risks."""
+    """Return Δg at each verification point, the statement, and the risk that the decision is wrong."""
     guarded = found.rule != SIMPLE
     expanded = ">U (k=2)" if all(p.k == 2.0 for p in found.points) else ">U (95.45 %)"
     shown = table(
@@ -174,7 +173,7 @@ HEADLINES: Final = {
     Statement.NOT_COMPLETE: "not complete",
     Statement.FAIL: "failed",
 }
-"""The words for the overall verdict of a verification."""
+"""Names of the verdicts on a whole verification."""
 
 _LEAST_SHOWN: Final = 1e-4
 _MOST: Final = 2
@@ -182,7 +181,7 @@ _MOST: Final = 2
 
 
 def headline(result: Verification, *, upper: bool = False) -> str:
-    """Return the verdict in a few words; for a conditional pass, also whether the rule accepts it."""
+    """Return the verdict in a word or two; of a conditional pass, whether the rule accepts it."""
     word = HEADLINES[result.statement]
     word = word.upper() if upper else word
     if result.statement is Statement.CONDITIONAL_PASS:
@@ -192,7 +191,7 @@ def headline(result: Verification, *, upper: bool = False) -> str:
 
 
 def rule_in_words(rule: DecisionRule) -> str:
-    """Return the acceptance criterion of a decision rule in words, with its source."""
+    """Return what a decision rule accepts, with its source."""
     if rule.name == SIMPLE:
         return (
             "accepted when |Δg| ≤ limit at every verification point; no guard band is taken off the limit "
@@ -216,19 +215,19 @@ def rule_in_words(rule: DecisionRule) -> str:
 
 
 def probability_in_words(p: float) -> str:
-    """Return a probability with two digits, such as "0.012", or a bound such as "< 0.0001"."""
+    """Return a probability with two digits: "0.012", "< 0.0001"."""
     if p < _LEAST_SHOWN:
         return f"< {_LEAST_SHOWN:g}"
     return f"{p:.2g}" if p < 1.0 - _LEAST_SHOWN else f"> {1.0 - _LEAST_SHOWN:g}"
 
 
 def optional_probability(p: float | None) -> str:
-    """Return a probability with two digits; a dash for None."""
+    """Return a probability with two digits, a dash where there is none."""
     return "–" if p is None else probability_in_words(p)
 
 
 def risk_in_words(result: Verification) -> str:
-    """Return the specific risk of the decision, overall and at the worst point; "" if nothing was decided."""
+    """Return the specific risk of the decision, of all points together and of the worst; empty without one."""
     if result.passed or result.left_open:
         of_all, worst = (probability_in_words(p) for p in (result.p_outside, result.p_outside_worst))
         single = "" if of_all == worst else f" ({worst} at the worst point)"
@@ -240,7 +239,7 @@ def risk_in_words(result: Verification) -> str:
 
 
 def verdict_line(name: str, result: Verification) -> str:
-    """Return the verdict on a source called `name` in one line."""
+    """Return the verdict on what is called `name` in one line."""
     worst = result.worst
     facts = [
         f"worst |Δg| = {abs(worst.delta_g) * 1e6:.1f} µg ± {worst.U * 1e6:.1f} µg (U, k = {worst.k:.3g})",
@@ -254,7 +253,7 @@ def verdict_line(name: str, result: Verification) -> str:
 
 
 def advice(result: Verification) -> tuple[str, ...]:
-    """Return a sentence on the meaning of each kind of statement given, and on possible remedies."""
+    """Return what the statements mean and what can be done, a sentence each."""
     number = {s: sum(p.statement is s for p in result.points) for s in Statement}
     sentences = {
         Statement.FAIL: (
@@ -287,7 +286,7 @@ def advice(result: Verification) -> tuple[str, ...]:
 
 
 def _to_pass(result: Verification) -> Iterator[str]:
-    """Yield a sentence on what would make the verification pass, with the largest contributions to u."""
+    """Return what would make the verification pass, and the largest contributions to u at the worst point."""
     needed = result.to_pass
     if needed is None:
         return
@@ -309,7 +308,7 @@ def _to_pass(result: Verification) -> Iterator[str]:
 
 
 def global_risk_in_words(result: Verification) -> tuple[str, ...]:
-    """Return a sentence on the global risks for the stated population; empty if no population is stated."""
+    """Return the risks of the rule over all blocks of the stated population; empty where none is stated."""
     risk, population = result.global_risk, result.population
     if risk is None or population is None:
         return ()

@@ -1,4 +1,4 @@
-"""The content of a run's record: manifest, events, results of steps, and the states of a run."""
+"""The content of a run's record: the manifest, the events, the results of steps, and the states of a run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class UnitUnderTest(TypedDict):
 
 
 class VerdictAsked(TypedDict, total=False):
-    """The decision settings given on the command line, which override those of the bench file."""
+    """The way to the run's verdict, where the command asked for another than the bench file's."""
 
     limit_g: float
     rule: str
@@ -36,25 +36,25 @@ class VerdictAsked(TypedDict, total=False):
 
 
 class DefaultRule(TypedDict):
-    """The decision rule used if none is stated, with the false-acceptance probability that sets its guard band."""
+    """The decision rule of a run where nobody states one, with the probability that sets its guard band."""
 
     rule: str
     false_acceptance: float
 
 
 DEFAULT_RULE: Final[DefaultRule] = {"rule": "non-binary", "false_acceptance": 0.05}
-"""The default decision rule, copied into each new record.
+"""The default, as each new record keeps it.
 
-A record without a default was begun when simple acceptance was the default.
+A record without one was begun when simple acceptance was the default.
 """
 
 
 class CheckedBefore(TypedDict, total=False):
     """The state of the check block at the start of the run.
 
-    `run` is the check block's latest run and `age_h` its age, h. `rule` is the bench file's: refuse or warn.
-    `state` is in control, out of control, too old or missing; `said` puts the state in words. `despite` is the
-    operator's reason for starting although the state was not good.
+    `run` is the run of the check block; its age and the `rule` are recorded with it. `state` is in control,
+    out of control, too old or missing; `said` is the same in words. `despite` is the reason for beginning the
+    run where the state spoke against it.
     """
 
     rule: str
@@ -68,12 +68,12 @@ class CheckedBefore(TypedDict, total=False):
 class Manifest(TypedDict, total=False):
     """The inputs and settings with which a run was begun (`run.json`), in this order.
 
-    `files` holds the SHA-256 of each input by name. `seed` is None for a run on real instruments. A run imported
-    from a readings file (`imported`) states the number of `readings` and has no procedure. `living` marks a dry
-    run whose questions a person answers. `bench_why` is the reason for the choice of the bench file. `devices`
-    is the origin of drivers from outside the bench software. `verdict` overrides the bench file's decision
-    settings; `default_rule` applies where neither states a rule. `until` lists the goals at which the run ends.
-    `check_block` is the state of the check block. Empty fields are omitted.
+    `files` are the SHA-256 of the inputs by name. `seed` is None for a run on real instruments. A run of a
+    readings file (`imported`) has the number of its `readings`, and no procedure. `living` marks a dry run
+    whose questions a person answers. `bench_why` is the reason for the choice of the bench file. `devices` is
+    the origin of drivers that are not the bench's own. `verdict` replaces the bench file's way to a verdict;
+    `default_rule` is used where neither states one. `until` are the goals at which the run ends.
+    `check_block` is the state of the check block. Fields without content are left out.
     """
 
     format: int
@@ -100,16 +100,16 @@ class Manifest(TypedDict, total=False):
 
 
 class RecordError(Exception):
-    """A run folder cannot be written or holds invalid data; the text says where, why and how to correct it."""
+    """A run folder cannot be written, or its content is invalid; the text says where, why and what to do."""
 
 
 def sha256(data: bytes) -> str:
-    """Return the SHA-256 digest of `data` in hexadecimal."""
+    """Return the SHA-256 of bytes in hexadecimal."""
     return hashlib.sha256(data).hexdigest()
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Return the manifest of a run. Raises `RecordError` if the manifest is missing or damaged."""
+    """Return the manifest of a run. Raises `RecordError` when there is none."""
     try:
         manifest = json.loads(read_regular(folder / MANIFEST).decode())
     except (FileNotFoundError, NotADirectoryError):
@@ -124,7 +124,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def changed_inputs(folder: Path) -> list[str]:
-    """Return a sentence for each input that differs from the manifest. Raises `RecordError` without a manifest."""
+    """Return the inputs of a run that differ from its manifest. Raises `RecordError` without a manifest."""
     return [
         f"{name} was changed since the run began"
         for name, digest in read_manifest(folder).get("files", {}).items()
@@ -137,14 +137,14 @@ def changed_inputs(folder: Path) -> list[str]:
 
 @dataclass(frozen=True)
 class Mounted:
-    """The block is mounted; `temperature_c` was entered by a person, or is None if nobody was asked."""
+    """The block is mounted; `temperature_c` was given by a person, None where nobody was asked."""
 
     temperature_c: float | None
 
 
 @dataclass(frozen=True)
 class Turned:
-    """The head was turned to the read-back angle `angle_deg`; `target_deg` was the target."""
+    """The head was turned: the angle read back, and the target."""
 
     angle_deg: float
     target_deg: float
@@ -152,14 +152,14 @@ class Turned:
 
 @dataclass(frozen=True)
 class TemperatureSet:
-    """The chamber received the set point `target_c`, °C."""
+    """The chamber was set."""
 
     target_c: float
 
 
 @dataclass(frozen=True)
 class CameToRest:
-    """A quantity settled after `settled_s` seconds at the values `settled_at`, in V (signals) or °C (chamber)."""
+    """The quantity has settled: after which time, s, and at which values, V or °C."""
 
     settled_s: float
     settled_at: tuple[float, ...]
@@ -167,7 +167,7 @@ class CameToRest:
 
 @dataclass(frozen=True)
 class InputSelected:
-    """The voltmeter inputs were switched to `source`; `reference_v` is the voltage of a reference source."""
+    """The inputs were switched; `reference_v` is the voltage of a reference, V."""
 
     source: str
     reference_v: float | None
@@ -182,7 +182,7 @@ class Answered:
 
 @dataclass(frozen=True)
 class Powered:
-    """The block was switched "on", "off" or "cycle"; duration of the warm-up, s, and the signals after it, V."""
+    """The block was switched "on", "off" or "cycle"; the time of its warm-up, s, and the signals then, V."""
 
     switched: str
     warmed_up_s: float | None
@@ -191,12 +191,12 @@ class Powered:
 
 @dataclass(frozen=True)
 class Levelled:
-    """The tilt of the platform measured with the level, head at 0°: α1 along the shaft, α2 across it.
+    """The tilt of the platform by the level, with the head at 0°: α1 and α2 with standard uncertainties.
 
-    `level_of` (installation) and `level_series` identify the mounting. `adjusted` says whether the platform was
-    levelled first or left as found. `level_zero_arcsec` is the level's own zero along and across the shaft. Each
-    row of `level_readings` holds the head angle, along and across in the first position, and along and across
-    in the turned position, arcsec.
+    `level_of` and `level_series` state the mounting. `adjusted` says whether the platform was levelled
+    before; else it was left as found. `level_zero_arcsec` is the level's own zero along the shaft and across.
+    `level_readings` holds for each setting the head's angle, then along and across in the first and in the
+    turned position, arcsec.
     """
 
     level_of: str
@@ -213,37 +213,37 @@ class Levelled:
 Result = (
     Reading | Mounted | Turned | TemperatureSet | CameToRest | InputSelected | Answered | Levelled | Powered
 )
-"""The result of a step; a `Wait` step has none."""
+"""The result of a step; a wait has none."""
 
 _KINDS: Final = (Mounted, Turned, TemperatureSet, CameToRest, InputSelected, Answered, Levelled, Powered)
-"""The result types, which the record distinguishes by their field names."""
+"""The kinds of results; a record distinguishes them by their fields."""
 
 
 @cache
 def _fields() -> Mapping[Callable[..., Result], tuple[str, ...]]:
-    """Return the field names of each result type, including results of step types defined in other modules."""
-    from bench.config.procedure.plan import KINDS  # imported here because it is slow
+    """Return the fields of each kind of result, also for kinds of step that other modules define."""
+    from bench.config.procedure.plan import KINDS  # takes long to import
 
     further = (kind.BRINGS for kind in KINDS if kind.BRINGS is not None)
     return {kind: tuple(of.name for of in fields(kind)) for kind in (*_KINDS, *further)}
 
 
 def result_to_json(result: Result | None) -> dict[str, Any]:
-    """Return a step's result as the record stores it; an empty dict for None."""
+    """Return the record of a step's result."""
     if result is None:
         return {}
     return {"reading": result.to_json()} if isinstance(result, Reading) else asdict(result)
 
 
 def result_from_json(data: Mapping[str, Any]) -> Result | None:
-    """Return a step's result from recorded event data, or None; a reading is returned without its samples.
+    """Return the result of a step from its record; of a reading all but its samples.
 
-    Raises `KeyError`, `TypeError` or `ValueError` for data that no step records.
+    Raises `KeyError`, `TypeError`, `ValueError` for data that no step records.
     """
     if "reading" in data:
         return Reading.from_json(data["reading"] | {"samples": {}})
     brought = {kind: {n: data[n] for n in names if n in data} for kind, names in _fields().items()}
-    # result types may share a field name: choose the type with the most fields present
+    # kinds may have a field in common: the one that accounts for the most is meant
     kind, values = max(brought.items(), key=lambda one: len(one[1]))
     return kind(**values) if values else None
 
@@ -252,15 +252,16 @@ def result_from_json(data: Mapping[str, Any]) -> Result | None:
 
 
 class EventType(StrEnum):
-    """The types of events, each with the names of its data fields.
+    """The types of events, each with the names of its data.
 
-    An event caused by a wish states the author in `by`, `role` and `where`, as far as known.
+    An event from a wish states its author in `by`, `role` and `where`, as far as known.
     """
 
     RUN_STARTED = "run_started"
-    """`step`, the first one; `instruments`, their identities by name; `serials`, if certificates are checked."""
+    """`step`, the first one; `instruments`, their identities by name; `serials`, in a dry run only where it has
+    certificates."""
     RUN_RESUMED = "run_resumed"
-    """The same data as `run_started`."""
+    """The data of `run_started`."""
     RUN_PAUSED = "run_paused"
     """`reason`."""
     RUN_CONTINUED = "run_continued"
@@ -273,70 +274,72 @@ class EventType(StrEnum):
     LEFT_SAFE = "left_safe"
     """`to_do`, the tasks left for a person, by instrument."""
     STEP_STARTED = "step_started"
-    """`step`, its index in the plan from 0; `key`; `attempt`, from 1."""
+    """`step`, its place in the plan from 0; `key`; `attempt`, from 1."""
     STEP_DONE = "step_done"
-    """The data of `step_started` and the step's result."""
+    """The data of `step_started`, and the result of the step."""
     STEP_FAILED = "step_failed"
     """`step`, `key`; `error`, a sentence."""
     SKIPPED = "skipped"
-    """`first` and `last`, the range of steps; `reason`."""
+    """`first` and `last` of the steps; `reason`."""
     REDO = "redo"
-    """`first` and `last`, the range of steps; `wish`."""
+    """`first` and `last` of the steps; `wish`."""
     REMOUNTED = "remounted"
-    """`installation`, `series`, and `now_series`, the series number of the further readings.
+    """`installation`, `series`, and `now_series`, the series of its further readings.
 
-    With `why`, the block stayed mounted but lost power in between, which also begins a new visit.
+    With `why` the block stayed mounted, but was without power in the meantime: that is another visit, too.
     """
     POWER = "power"
     """`power`: the block was switched "on" or "off", was "found on", or a check found a "fault".
 
-    `rails` are the supply's measurements at each rail; a fault has phrases in `wrong` instead.
+    `rails` are the supply's measurements at each rail; with a fault, phrases in `wrong` replace them.
     """
     WARMED_UP = "warmed_up"
-    """`after_s`, s since switching on; `at`, the settled signals, V, if the warm-up waited for settling."""
+    """`after_s`, from switching on; `at`, V, the settled signals where the warm-up waited for them."""
     EARLY_SIGN = "early_sign"
-    """`step` and the fields of an early sign."""
+    """`step`, and an early sign."""
     SAME_SERIAL = "same_serial"
-    """`words`, a sentence: several instruments report the same serial number."""
+    """`words`, a sentence: instruments that state one serial number."""
     CERTIFICATE = "certificate"
-    """`words`, a sentence: a certificate has expired, or belongs to another instrument than the connected one."""
+    """`words`, a sentence: a certificate has expired, or is of another instrument than the one that answered."""
     WENT_ON = "went_on"
-    """`step` and `causes` of the early sign that stopped the run; `reason` for continuing."""
+    """`step` and `causes` of an early sign that stopped the run; `reason` for going on."""
     WISH_REFUSED = "wish_refused"
     """`wish`; `why`, a sentence."""
     ASKED = "asked"
-    """A prompt that can be answered from several places: its `id`, unique in the record, and its fields.
+    """A prompt that may be answered from more than one place: its `id`, unique in the record, and its fields.
 
     The fields are `kind`, `text`, `default`, `unit`, `choices`, `minimum`, `maximum`, `action`, `picture`.
-    The question stays open until it is answered, or until the run continues or stops without an answer.
+    The question is open until it is answered, or until the run continues or stops without an answer.
     """
     ANSWERED = "answered"
-    """`id` of the prompt; `answer`, the accepted one; `by`, `role` and `where`; `line`, from 1.
+    """`id` of the prompt; `answer`, the one that counts; `by`, `role` and `where`; `line`, from 1.
 
-    `line` is the line number in the run folder's file of answers; other answers have none.
+    `line` is the number of the line in the file of answers in the run's folder.
+
+    An answer that does not come from this file has no `line`.
     """
     ANSWER_REFUSED = "answer_refused"
-    """The data of `answered`, with `answer` as entered; `why`, a sentence."""
+    """The data of `answered`, with `answer` as given; `why`, a sentence."""
     CHAMBER_SLOW = "chamber_slow"
-    """`chamber`, its name; air temperature `start_c` at the start and `air_c` now; `target_c`; `after_s`."""
+    """`chamber`, its name; its air `start_c` then, `air_c` now, `target_c` as demanded; `after_s`."""
     CLOCK_JUMPED = "clock_jumped"
-    """`ahead_s`: by how many seconds civil time has gained on bench time since the previous event."""
+    """`ahead_s`, the lead that civil time gained over bench time since the event before."""
     CHOSEN = "chosen"
-    """The choice of the next points, in a run that continues until its goals are reached.
+    """The choice of the next points, in a run that goes on until its goals are reached.
 
-    `visit` is the number of the mounting. `left_out` lists ranges [first, last] of steps that are not needed;
-    `taken_up` lists ranges dropped earlier that are needed after all. `now` is the state of the goal furthest
-    from being reached (None until the readings determine the coefficients). `settings` and `repeats` are the
-    counts so far. `next` holds the next points, their time and their gain; `in_all` is what remains until
-    the end. `undecided` are the steps left to later choices, with their expected time. `stop` is the reason
-    for ending the measurement.
+    `visit` is the number of the mounting. `left_out` are ranges [first, last] of steps that are not needed,
+    `taken_up` ranges of earlier such steps that are needed again. `now` is the state of the goal furthest
+    from being reached (None before the readings determine the coefficients). `settings` and `repeats` are the
+    numbers so far. `next` are the points, their time and their gain; `in_all` is what is expected until the
+    end. `undecided` are the steps that later choices concern, with their expected time. `stop` is the reason
+    for measuring nothing more.
     """
     IMPORTED = "imported"
-    """`file`; `readings`, their number."""
+    """`file`; `readings`, how many."""
 
 
 MOST: Final = 1_000_000
-"""Upper limit of the steps of a plan and the mountings of a run; a record with greater numbers is invalid."""
+"""Limit on the steps of a plan and the mountings of a run; a record that counts more is invalid."""
 
 _Told = tuple[tuple[str, type[object]], ...]
 _STEP: Final[_Told] = (("step", int),)
@@ -359,16 +362,16 @@ _TOLD: Final[Mapping[str, _Told]] = {
     EventType.ANSWERED: (("id", str), ("answer", str)),
     EventType.ANSWER_REFUSED: (("id", str), ("answer", str), ("why", str)),
 }
-"""The data that an event of each type must have, with their types; readers of records rely on these fields."""
+"""The data that an event of each type must have, with their types; readers of records rely on them."""
 
 _NUMBERS: Final = frozenset({int, float})
 
 
 @dataclass(frozen=True)
 class Event:
-    """One line of the record: number, civil time, bench time since the run began in s, type, and data.
+    """One line of the record: its number, civil time, bench time in s since the run began, type, contents.
 
-    `type` is an `EventType`, or an unknown type written by a later version.
+    The type is an `EventType`, or a type of a later version.
     """
 
     number: int
@@ -378,7 +381,7 @@ class Event:
     data: dict[str, Any]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the event as recorded, without the hash of the previous line."""
+        """Return the event as the record holds it, without the hash of the line before."""
         return {
             "n": self.number,
             "time": self.time,
@@ -389,9 +392,9 @@ class Event:
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Event:
-        """Return the event recorded as `data`; the dict loses the common fields and becomes `Event.data`.
+        """Return a recorded event, which keeps `data`.
 
-        Raises `KeyError`, `TypeError` or `ValueError` for data that are not an event.
+        Raises `KeyError`, `TypeError`, `ValueError` for data that are no event.
         """
         number, time, bench_s, kind = data.pop("n"), data.pop("time"), data.pop("bench_s"), data.pop("type")
         if type(number) is not int or type(time) is not str or type(kind) is not str:
@@ -406,22 +409,22 @@ class Event:
 
     @property
     def step(self) -> int:
-        """The index of the step to which the event belongs."""
+        """The step to which the event belongs."""
         return int(self.data["step"])
 
     @property
     def steps(self) -> range:
-        """The indices of the steps that were skipped or are to be repeated."""
+        """The steps that are skipped or redone."""
         return range(int(self.data["first"]), int(self.data["last"]) + 1)
 
     @cached_property
     def result(self) -> Result | None:
-        """The step's result; None for a step without a result and for events other than `step_done`."""
+        """The result of a step; None for an event that ends no step, and for a step without a result."""
         return result_from_json(self.data) if self.type == EventType.STEP_DONE else None
 
     @property
     def reading(self) -> Reading | None:
-        """The reading that the step returned, or None."""
+        """The reading of a step, if it has one."""
         return result if isinstance(result := self.result, Reading) else None
 
 
@@ -443,11 +446,11 @@ _OPEN: Final[Mapping[str, RunState]] = {
     EventType.RUN_INTERRUPTED: RunState.INTERRUPTED,
     EventType.RUN_ABORTED: RunState.ABORTED,
 }
-"""Events possible in every run that has not ended, whatever state the last program left it in."""
+"""Events possible in every run that has not ended, in whatever state its last program left it."""
 
 
 def _stopped(state: RunState) -> Mapping[str, RunState]:
-    """Return the transitions of a stopped run; a failed attempt to resume leaves `state` unchanged."""
+    """Return the row of a stopped run: another attempt that fails leaves its state unchanged."""
     return {**_OPEN, EventType.RUN_FAILED: state, EventType.RUN_INTERRUPTED: state}
 
 
@@ -464,14 +467,14 @@ TRANSITIONS: Final[Mapping[RunState, Mapping[str, RunState]]] = {
     RunState.FINISHED: {},
     RunState.ABORTED: {},
 }
-"""The state after each event, by the state before it; no other transitions are valid in a record."""
+"""The state after each event, by the state before it; writers and readers of records allow no others."""
 
 ENDED: Final = frozenset({RunState.FINISHED, RunState.ABORTED})
-"""Final states, after which a run cannot continue."""
+"""States in which nothing more happens to a run."""
 
 
 class Wish(StrEnum):
-    """The commands that a person may give during a run."""
+    """The wishes that a person may have during a run."""
 
     PAUSE = "pause"
     CONTINUE = "continue"
@@ -487,14 +490,14 @@ HEARD: Final[Mapping[RunState, frozenset[Wish]]] = {
     RunState.RUNNING: frozenset(Wish) - {Wish.CONTINUE},
     RunState.PAUSED: frozenset(Wish) - {Wish.PAUSE},
 }
-"""The wishes obeyed in each state; all others are refused."""
+"""The wishes that are heard in each state."""
 
 
 _CHANGING: Final = frozenset(event for row in TRANSITIONS.values() for event in row)
 
 
 def state_after_one(state: RunState, event: str) -> RunState:
-    """Return the state that follows `state` after an event. Raises `ValueError` for an invalid transition."""
+    """Return the state after a recorded event. Raises `ValueError` where the table does not allow it."""
     if event not in _CHANGING:
         return state
     if event not in TRANSITIONS[state]:

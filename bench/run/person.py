@@ -1,4 +1,4 @@
-"""The operator's side of a run: wishes, answers left in the run folder, prompts, and validation of answers."""
+"""The person at a run: wishes, answers left in the run's folder, prompts, and problems with an answer."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ SIGN: Final = ":"
 
 @dataclass(frozen=True)
 class WishAuthor:
-    """The author of a wish or an answer: name, role ("operator", "supervisor") and place.
+    """The author of a wish or an answer, the role ("operator", "supervisor"), and the place.
 
-    `where` is "terminal", "panel", or "command" for `bench control`. In old records, which do not state the
-    author, all fields are empty.
+    `where` is "terminal", "panel", or "command" for `bench control`. Old records do not say: then all are
+    empty.
     """
 
     by: str = ""
@@ -38,32 +38,30 @@ class WishAuthor:
     where: str = ""
 
     def to_json(self) -> dict[str, str]:
-        """Return the author as stored in events and in the run folder's files; an empty dict if unknown."""
+        """Return the author as events and lines in a run's folder record it; an empty dict if nothing is known."""
         return asdict(self) if self != NOBODY_KNOWN else {}
 
     @classmethod
     def from_json(cls, line: Mapping[str, Any]) -> WishAuthor:
-        """Return the author stated in an event or in a line of the run folder's files."""
+        """Return the author stated in an event or in a line left in a run's folder."""
         return cls(*(str(line.get(name, "")) for name in ("by", "role", "where")))
 
 
 NOBODY_KNOWN: Final = WishAuthor()
-INSTRUMENT: Final = "instrument"
-"""The place of an author that is an instrument, which answers where nobody has to."""
 
 
 def at_the_shell(where: str) -> WishAuthor:
-    """Return the user of this process as author, a supervisor because of shell access to the runs' folder."""
+    """Return the user of this program as author; whoever has a shell in the runs' folder is a supervisor."""
     try:
         name = getpass.getuser()
-    except (OSError, KeyError, ImportError):  # no such user, or no user database on this system
+    except (OSError, KeyError, ImportError):  # no such user, or no such list of them
         name = ""
     return WishAuthor(name, "supervisor", where)
 
 
 @dataclass(frozen=True)
 class RunControl:
-    """A wish with its reason and author; `by_person` marks a wish of the person at the prompt."""
+    """A wish, its reason and its author; `by_person` says that the person at the prompt has it."""
 
     wish: Wish
     reason: str = ""
@@ -71,21 +69,21 @@ class RunControl:
     who: WishAuthor = NOBODY_KNOWN
 
     def to_json(self) -> dict[str, str]:
-        """Return the wish as written into the run folder's file."""
+        """Return the wish as a line in the run's folder records it."""
         return {"wish": self.wish.value, "reason": self.reason, **self.who.to_json()}
 
     def told(self) -> dict[str, str]:
-        """Return the reason and the author as recorded in an event."""
+        """Return the reason and the author, as an event records them."""
         return {"reason": self.reason, **self.who.to_json()}
 
     @classmethod
     def from_json(cls, line: Mapping[str, Any]) -> RunControl:
-        """Return the wish in a line. Raises `KeyError`, `TypeError` or `ValueError` if the line holds none."""
+        """Return the wish in a line. Raises `KeyError`, `TypeError`, `ValueError` where there is none."""
         return cls(Wish(line["wish"]), str(line.get("reason", "")), who=WishAuthor.from_json(line))
 
 
 class OperatorWish(Exception):
-    """The person answered a prompt with a wish; the step that asked is not completed."""
+    """The person answered a prompt with a wish; the step that asked is not done."""
 
     def __init__(self, control: RunControl) -> None:
         super().__init__(control.wish.value)
@@ -93,7 +91,7 @@ class OperatorWish(Exception):
 
 
 class Stopped(KeyboardInterrupt):
-    """A wish stopped the run: treated like Ctrl-C, but with a known author."""
+    """Somebody wished the run to stop: the same as Ctrl-C, with the author of the wish."""
 
     def __init__(self, control: RunControl) -> None:
         super().__init__()
@@ -101,20 +99,20 @@ class Stopped(KeyboardInterrupt):
 
 
 def raised(control: RunControl) -> OperatorWish | Stopped:
-    """Return the exception by which a wish interrupts the current step."""
+    """Return the exception that ends the present step because of a wish."""
     return Stopped(control) if control.wish is Wish.STOP else OperatorWish(control)
 
 
 class Controls(Protocol):
-    """A source of wishes; `stopped` is the wish that interrupted the program, if any."""
+    """The source of wishes; `stopped` is the wish to stop that interrupted the program."""
 
     @property
     def stopped(self) -> RunControl | None:
-        """The wish that stopped the program, or None."""
+        """The wish to stop, None where there was none."""
         ...
 
     def poll(self) -> RunControl | None:
-        """Return the next wish, or None."""
+        """Return the next wish, None where there is none."""
         ...
 
 
@@ -129,14 +127,14 @@ class NoControls:
 
 
 class ControlFile:
-    """The wishes left in a run folder, one JSON line each; lines present at construction are ignored."""
+    """The wishes left in the folder of a run, one JSON line each; earlier lines count as heard."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / CONTROL
         self._heard = self._path.stat().st_size if self._path.exists() else 0
 
     def poll(self) -> RunControl | None:
-        """Return the next wish, or None; skip invalid lines, and leave an incomplete last line for later."""
+        """Return the next wish, or None; half-written lines wait, lines without a wish are passed over."""
         while (line := self._line()).endswith(b"\n"):
             self._heard += len(line)
             with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
@@ -153,7 +151,7 @@ class ControlFile:
 
 
 def leave_wish(folder: Path, control: RunControl) -> None:
-    """Append a wish to the run folder's file. Raises `OSError` if it cannot be written."""
+    """Write a wish into the folder of a run. Raises `OSError` where it cannot be written."""
     _leave(folder / CONTROL, control.to_json())
 
 
@@ -164,9 +162,9 @@ def _leave(file: Path, told: Mapping[str, str]) -> None:
 
 
 def parse_wish(text: str) -> RunControl:
-    """Return the wish typed as `text`, such as ":skip the cable came loose"; the leading ":" is optional.
+    """Return a typed wish, such as ":skip the cable came loose"; the sign may be missing.
 
-    Raises `ValueError`, listing the known wishes, for any other text, and for a skip without a reason.
+    Raises `ValueError` with the list of wishes for anything else, and for a skip without a reason.
     """
     word, _, reason = text.strip().removeprefix(SIGN).partition(" ")
     try:
@@ -181,21 +179,21 @@ def parse_wish(text: str) -> RunControl:
 
 ANSWERS: Final = "answers.jsonl"
 LONGEST: Final = 4000
-"""Greatest length of an answer in characters; longer texts are rejected."""
+"""Greatest length of an answer in characters; a longer text is no answer."""
 
 YES: Final = frozenset({"y", "yes", "ok", "done"})
 NO: Final = frozenset({"n", "no"})
 REASON: Final = "REASON"
-"""Placeholder at the end of a choice for the person's own words: "go on REASON"."""
+"""Placeholder at the end of a choice, for words of the person's own: "go on REASON"."""
 
 # --- answers left in a run's folder ------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class LeftAnswer:
-    """An answer to the prompt `id`, as typed, with its author; `line` is its line number in the file, from 1.
+    """An answer to the question `id`, as typed, with its author; `line` is its number in the file, from 1.
 
-    `flaw` describes the fault of an unreadable line; otherwise it is empty.
+    `flaw` says what is wrong with a line that cannot be read.
     """
 
     id: str
@@ -205,17 +203,17 @@ class LeftAnswer:
     flaw: str = ""
 
     def to_json(self) -> dict[str, str]:
-        """Return the answer as written into the run folder's file."""
+        """Return the answer as a line in the run's folder records it."""
         return {"id": self.id, "answer": self.answer, **self.who.to_json()}
 
 
 def leave_answer(folder: Path, answer: LeftAnswer) -> None:
-    """Append an answer to the run folder's file. Raises `OSError` if it cannot be written."""
+    """Write an answer into the folder of a run. Raises `OSError` where it cannot be written."""
     _leave(folder / ANSWERS, answer.to_json())
 
 
 class AnswersFile:
-    """The answers left in a run folder, in order; the first `heard` lines are skipped."""
+    """The answers left in the folder of a run, in order; the first `heard` lines are passed over."""
 
     def __init__(self, folder: Path, heard: int = 0) -> None:
         self._path = folder / ANSWERS
@@ -225,15 +223,15 @@ class AnswersFile:
             pass
 
     def poll(self) -> LeftAnswer | None:
-        """Return the next answer, or None; an incomplete last line is left for later.
+        """Return the next answer, None where there is none; a half-written line waits.
 
-        An unreadable line is returned as an answer with a `flaw` and an empty id.
+        A line that cannot be read gives an answer with a `flaw` and without an id.
         """
         found = self._next()
         return None if found is None else _read_answer(found, self._line)
 
     def _next(self) -> bytes | None:
-        """Return the next complete line, or None; an overlong line is cut to its first 8 × `LONGEST` bytes."""
+        """Return the next whole line; of an overlong line only the beginning."""
         try:
             with open_regular(self._path) as file:
                 file.seek(self._place)
@@ -264,24 +262,24 @@ def _read_answer(line: bytes, number: int) -> LeftAnswer:
         return LeftAnswer("", beginning, WishAuthor(where="panel"), number, flaw)
 
 
-# --- the open prompt ---------------------------------------------------------------------------------
+# --- the question that stands ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class AskedPrompt:
-    """A recorded prompt and the event that recorded it; answers refer to the prompt's `id`."""
+    """A question on record: its event and its prompt. An answer names the `id` of this prompt."""
 
     event: Event
     prompt: Prompt
 
 
 def asked_to_json(prompt: Prompt) -> dict[str, Any]:
-    """Return the fields of a prompt for the record."""
+    """Return the fields of a prompt that the record keeps."""
     return {of.name: getattr(prompt, of.name) for of in fields(prompt)} | {"kind": prompt.kind.value}
 
 
 def _asked(event: Event) -> AskedPrompt | None:
-    """Return the prompt of an `asked` event; None for a kind of prompt that this version does not know."""
+    """Return the question in an event; None for a prompt that this version does not know."""
     data = event.data
     try:
         prompt = Prompt(
@@ -310,12 +308,12 @@ _STANDS: Final = {
 
 @dataclass
 class OpenPrompt:
-    """The prompt still open after the events of a run, which are passed to `take` in order."""
+    """Follows a run's events in order, and knows the open question."""
 
     _event: Event | None = field(default=None, init=False)
 
     def take(self, event: Event) -> None:
-        """Update the open prompt with the next event."""
+        """Take note of an event."""
         if event.type == EventType.ASKED:
             self._event = event
         elif event.type not in _STANDS:
@@ -323,14 +321,14 @@ class OpenPrompt:
 
     @property
     def prompt(self) -> AskedPrompt | None:
-        """The open prompt, or None."""
+        """The open question, None where there is none."""
         return None if self._event is None else _asked(self._event)
 
 
 def open_prompt(events: Iterable[Event]) -> AskedPrompt | None:
-    """Return the prompt that is open after the events of a run, in their order, or None.
+    """Return the question that is open after the events of a run, in their order; None where none is.
 
-    It can be answered only while a program is carrying out the run.
+    An answer is heard only as long as a program carries out the run.
     """
     found = OpenPrompt()
     for event in events:
@@ -338,14 +336,15 @@ def open_prompt(events: Iterable[Event]) -> AskedPrompt | None:
     return found.prompt
 
 
-# --- faults of an answer -----------------------------------------------------------------------------
+# --- what is wrong with an answer --------------------------------------------------------------------
 
 
 def problem_with_answer(prompt: Prompt, text: str) -> str:
-    """Return a description of the fault in an answer; empty if the answer fits the prompt's kind and limits.
+    """Return what is wrong with an answer, in words; empty when it fits the prompt's kind, limits and target.
 
-    An empty answer selects the prompt's default, if any. Values read from a scale or a display are checked by
-    the rules of the driver that asks. The function has no side effects, so it can be called during typing.
+    An empty answer means the prompt's default, where it has one. Values read from a scale or a display are
+    judged by the rules of the driver that asks. The function changes nothing, so that it can be called while
+    somebody types.
     """
     given = text.strip() or prompt.default or ""
     try:
@@ -364,7 +363,7 @@ def problem_with_answer(prompt: Prompt, text: str) -> str:
 
 
 def understood_answer(prompt: Prompt, text: str) -> str:
-    """Return a valid answer as understood, such as `120° 30′ 15.0″` or `23.5 °C`; empty for an invalid one."""
+    """Return the meaning of an answer that fits, such as `120° 30′ 15.0″` or `23.5 °C`; else empty."""
     if problem_with_answer(prompt, text):
         return ""
     given = text.strip() or prompt.default or ""
@@ -387,11 +386,11 @@ _BY_EYE: Final = frozenset({"turn", "read_temperature", "read_level", "read_supp
 
 
 def _read_by_eye(prompt: Prompt, given: str) -> float | None:
-    """Return the value that a person read from a scale or display (rad, °C, V or A); None for other prompts.
+    """Return the value read from a scale or a display (rad, °C, V or A); None where no value was asked for.
 
-    Raises `ValueError` with a sentence on the fault.
+    Raises `ValueError` with the problem in a sentence.
     """
-    action: Any = prompt.action  # may come from a record, so its content is not validated
+    action: Any = prompt.action  # of a record, which may say anything
     match action.get("do"), prompt.kind:
         case "turn", PromptKind.ANGLE:
             tolerance_rad = float(action.get("tolerance_rad", math.inf))
@@ -452,14 +451,15 @@ def _spaced(angle_rad: float) -> str:
 
 MOST_ATTEMPTS: Final = 20
 MOST_WAITS: Final = 1000
-"""Greatest number of "no" answers to a task; somebody who gives more is not reading the question."""
+"""Greatest number of answers "no" to a task: somebody who gives more does not read the question."""
 
 
 def ask(person: Person, prompt: Prompt) -> str:
-    """Repeat the prompt until the answer is valid; return the answer, or the default for an empty answer.
+    """Put the prompt until its answer fits; return the answer's text, the default for an empty one.
 
-    "#1", "#2"… is appended to `prompt.id` for each attempt, so that a stale answer, which names an earlier id,
-    is rejected. Raises `NoAnswer` when nobody answers, `BenchError` after `MOST_ATTEMPTS` invalid answers.
+    `prompt.id` is the step's key; "#1", "#2"… is added for each attempt, and an answer to another id is stale
+    and ignored. Raises `NoAnswer` when nobody answers, `BenchError` after `MOST_ATTEMPTS` answers that do not
+    fit.
     """
     text = prompt.text
     for attempt in range(1, MOST_ATTEMPTS + 1):
@@ -475,7 +475,7 @@ def ask(person: Person, prompt: Prompt) -> str:
 
 
 def confirm(person: Person, prompt: Prompt) -> None:
-    """Ask for a task and repeat the prompt after each "no" until the task is done. Raises the errors of `ask`."""
+    """Have a task done; after "no" the question is put again until it is done. Raises the errors of `ask`."""
     put = prompt
     for wait in range(1, MOST_WAITS + 1):
         if ask(person, put).lower() not in NO:
@@ -486,7 +486,7 @@ def confirm(person: Person, prompt: Prompt) -> None:
 
 
 def agree(person: Person, prompt: Prompt) -> None:
-    """Ask for permission to continue. Raises `BenchError` if the person answers no, and the errors of `ask`."""
+    """Ask for permission to go on. Raises `BenchError` when the person says no, and the errors of `ask`."""
     if ask(person, prompt).lower() in NO:
         raise BenchError("operator", f"answered no to: {prompt.text}", "go on when that is settled")
 
@@ -511,9 +511,9 @@ UNTOUCHED: Final = "untouched"
 
 
 def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
-    """Return the prompt to mount the block, with a drawing of the installation where there is one.
+    """Return the task of mounting the block, with a drawing of the installation where there is one.
 
-    It has no default, so that an accidental Enter confirms nothing. With `chamber`, it asks to close the chamber.
+    It has no default: a key hit by chance mounts nothing. `chamber` says whether there is a chamber to close.
     """
     close = ", close the chamber" if chamber else ""
     again = "" if step.series == 1 else f" (visit {step.series})"
@@ -527,7 +527,7 @@ def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
 
 
 def untouched_prompt(step: Mount) -> Prompt:
-    """Return the prompt asking whether the block is still mounted as it was after `step`."""
+    """Return the question whether the block is still mounted as the step `step` left it."""
     text = (
         f"The block was mounted in installation {step.installation}. Is it untouched since? "
         "If not, mount it again now, and say so"

@@ -1,4 +1,4 @@
-"""Facts about each instrument with their sources: command dialect, limits, accuracy.
+"""Facts of each instrument with their source: dialect, limits, accuracy.
 
-Drivers, simulations and the checks of bench files share them.
+Driver, simulation and bench file share it.
 """

@@ -1,1 +1,1 @@
-"""The instrument drivers, one module for each make or model."""
+"""One module for each make or model: its driver."""

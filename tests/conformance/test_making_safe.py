@@ -19,9 +19,9 @@ from drivers.interfaces import InstrumentLost
 from sim.wires.faults import Fault, FaultKind
 from tests.support.fed_bench import N15, P15
 from tests.support.fed_runs import section_of
-from tests.support.instrument_stand import Between, Stand, known, standing, turned_by
+from tests.support.instrument_stand import Between, Stand, known, standing
 
-MOVING = [*turned_by("motor"), *known("chamber"), *known("power_supply")]
+MOVING = [device for role in ("head", "chamber", "power_supply") for device in known(role)]
 
 BY_HAND = re.compile(r"by hand|by itself|emergency stop|at the controller")
 NEVER_ALONE = {":mode:rate 1": ":demand:rate 1"}

@@ -69,12 +69,7 @@ class ScriptedSession:
         assert self._next(command) is None
 
     def query(
-        self,
-        command: str,
-        timeout_s: float | None = None,
-        pattern: str | None = None,
-        expected: str = "",
-        lines: int = 1,
+        self, command: str, timeout_s: float | None = None, pattern: str | None = None, expected: str = ""
     ) -> str:
         self.timeouts_s[command] = timeout_s
         reply = self._next(command)

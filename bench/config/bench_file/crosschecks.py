@@ -1,4 +1,4 @@
-"""Checks between the parts of a bench file: the mistakes that no section can detect by itself."""
+"""Mistakes between the parts of a bench file: what each part by itself cannot know."""
 
 from __future__ import annotations
 
@@ -20,20 +20,17 @@ from bench.readings.table import UNORIENTED
 from drivers.interfaces import OutputSettings, SupplyLimits
 
 _OVER_RANGE: Final = 1.2
-"""The fraction of its range up to which a voltmeter with an unknown driver is assumed to read."""
+"""Up to which part of its range a voltmeter reads whose driver cannot be read."""
 
 _LACKS: Final = {"sensor_noise": "a sensor without noise"}
 
 
 FURTHER: Final[tuple[Role, ...]] = ("head", "chamber", "level", "thermometer", "power_supply")
-"""The roles that at most one instrument of a bench has."""
+"""The roles of which a bench has one instrument at most."""
 
 
 def mistakes_between_parts(data: Any) -> Iterable[tuple[Place, str]]:
-    """Yield the place and the text of every mistake between the parts of a bench file.
-
-    `data` is the file as written; any part of it may be missing or malformed.
-    """
+    """Yield every mistake with its place; `data` is the file as written, whatever else is wrong in it."""
     voltmeters = part(data, "instruments", "voltmeters")
     yield from _channel_mistakes(voltmeters)
     yield from _resource_mistakes(data)
@@ -46,7 +43,7 @@ def mistakes_between_parts(data: Any) -> Iterable[tuple[Place, str]]:
 
 
 def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
-    """Check that exactly one voltmeter carries each of x, y and z."""
+    """Each of x, y, z is carried once."""
     place: Place = ("instruments", "voltmeters")
     if not isinstance(voltmeters, list):
         return
@@ -56,7 +53,7 @@ def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
         key, channels = written_channels(meter) or ("", ())
         unreadable |= not key
         for channel in channels:
-            unreadable |= channel not in CHANNELS  # pydantic reports these
+            unreadable |= channel not in CHANNELS  # a list, too, which pydantic tells
             if not isinstance(channel, str):
                 continue
             if channel in carried:
@@ -69,7 +66,7 @@ def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _one_range_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
-    """Check that all voltmeters are on the same range."""
+    """All voltmeters read on one range."""
     ranges = [_value(part(meter, "range") or "10 V", VOLTAGE) for meter in _items(voltmeters)]
     for index, range_v in enumerate(ranges):
         if range_v is not None and ranges[0] is not None and range_v != ranges[0]:
@@ -78,7 +75,7 @@ def _one_range_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Check that no two instruments share a resource, except a thermometer beside a multiplexer's signals."""
+    """Each resource is one instrument."""
     meters = enumerate(_items(part(data, "instruments", "voltmeters")))
     places: list[tuple[str, Place]] = [(f"voltmeter {i + 1}", ("voltmeters", i)) for i, _ in meters]
     places += [(f"the {role.replace('_', ' ')}", (role,)) for role in FURTHER]
@@ -95,7 +92,7 @@ def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _is_beside_signals(data: Any, resource: str) -> bool:
-    """Whether the thermometer is on a free channel of the multiplexer with this address."""
+    """Whether the thermometer is on a channel of the multiplexer at this address that has no signal."""
     section = part(data, "instruments", "thermometer")
     meters = [m for m in _items(part(data, "instruments", "voltmeters")) if part(m, "resource") == resource]
     taken = [str(part(meter, "inputs", channel)) for meter in meters for channel in CHANNELS]
@@ -109,7 +106,7 @@ def _is_beside_signals(data: Any, resource: str) -> bool:
 
 
 def _signal_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Check that the block's signals at 1 g stay within the voltmeters' range."""
+    """The block's signals at 1 g stay within what the voltmeters read."""
     range_v = _value(part(data, "instruments", "voltmeters", 0, "range") or "10 V", VOLTAGE)
     if range_v is None:
         return
@@ -148,7 +145,7 @@ def _label_mistakes(installations: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _name_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Check that instrument names are unique, and that each fault names an instrument with a wire."""
+    """Names are given once, and a fault names an instrument with a wire."""
     instruments = _instruments(data)
     if instruments is None:
         return
@@ -166,7 +163,7 @@ def _name_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Check that the simulation section describes only what the named instruments can simulate."""
+    """What is said of a simulated instrument is there to be simulated."""
     accuracy: Place = ("simulation", "voltmeter", "accuracy")
     if part(data, *accuracy) == CERTIFICATE:
         meters = enumerate(_items(part(data, "instruments", "voltmeters")), start=1)
@@ -197,7 +194,7 @@ def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _instruments(data: Any) -> InstrumentsSection | None:
-    """Return the validated section `instruments`; None if it is invalid."""
+    """Return the section on instruments when there is nothing wrong with it."""
     try:
         return InstrumentsSection.model_validate(part(data, "instruments"))
     except ValidationError:
@@ -220,10 +217,7 @@ _A: Final[tuple[Place, ...]] = (
 
 
 def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Yield place and text of every mistake in the block's rails, against the block's limits and the power supply.
-
-    `data` is the bench file as written; any part of it may be missing or malformed.
-    """
+    """Yield every mistake with its place; `data` is the bench file as written, whatever else is wrong in it."""
     if part(data, *_UNIT) is None:
         return
     if part(data, *_INSTRUMENT) is None:
@@ -254,7 +248,7 @@ def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 @dataclass(frozen=True)
 class _Rail:
-    """The numbers of a rail as written, V and A, by key; None where unreadable, which is reported elsewhere."""
+    """The numbers of a rail as written, V and A; None where one cannot be read, which is told elsewhere."""
 
     numbers: dict[Place, float | None]
 
@@ -267,14 +261,14 @@ class _Rail:
         return self.numbers[keys]
 
     def all(self, *keys: Place) -> tuple[float, ...] | None:
-        """Return the numbers at several keys; None if any of them is missing."""
+        """Return the numbers of places, None where one of them is not there."""
         found = [self.numbers[key] for key in keys]
         known = tuple(number for number in found if number is not None)
         return known if len(known) == len(found) else None
 
 
 def _against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
-    """Check that a rail's settings and protections stay within the limits of the block."""
+    """A rail stays within what the block may be given, in what it is set to and in what it is protected at."""
     yield from _voltages_against_block(rail)
     if (window := rail.all(("current", "minimum"), ("current", "maximum"))) and window[0] >= window[1]:
         yield (
@@ -336,7 +330,7 @@ def _voltages_against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
 
 
 def _against_supply(rail: _Rail, output: Any, limits: SupplyLimits | None) -> Iterator[tuple[Place, str]]:
-    """Check that the supply has the rail's output, and that the output supports its settings."""
+    """The supply has the output, and can do what it is to be set to."""
     if limits is None or not isinstance(output, str):
         return
     if output not in limits.outputs:
@@ -351,7 +345,7 @@ def _against_supply(rail: _Rail, output: Any, limits: SupplyLimits | None) -> It
 
 
 def _limits_of_supply(written: Any) -> SupplyLimits | None:
-    """Return the settings that the supply's outputs support; None if the section is invalid or they are unknown."""
+    """Return what the supply can do; None where it is not told, or not known."""
     device = devices().get(part(written, "driver"))
     if device is None or not issubclass(device.section, SupplyForm):
         return None
@@ -362,7 +356,7 @@ def _limits_of_supply(written: Any) -> SupplyLimits | None:
 
 
 def _value(written: Any, kind: QuantityKind) -> float | None:
-    """Return a quantity as written in its SI unit; None if it is missing or unreadable."""
+    """Return a quantity as written, None where it cannot be read or is not there."""
     try:
         return parse_quantity(written, kind)
     except ValueError:

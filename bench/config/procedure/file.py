@@ -1,4 +1,4 @@
-"""The contents of a procedure file: steps with one verb each, and the sections beside them."""
+"""What a procedure file may say: steps with one verb each, and the sections beside them."""
 
 from __future__ import annotations
 
@@ -48,16 +48,13 @@ from drivers.person import PromptKind
 Positive = Annotated[int, Field(ge=1)]
 
 MOST_SAMPLES: Final = 1_000_000
-"""The most samples that one settling may take."""
+"""Of what is waited for to settle."""
 
 TEMPERATURE_DIFFERENCE: Final = QuantityKind("a difference of temperatures", "0.1 K", "K", only=("K", "mK"))
 
 
 class SettleForm(ActionVerb):
-    """Criterion of settling: all samples in a `window` lie within `precision`.
-
-    A sample is taken every `interval`; settling fails if the criterion is not met by `timeout`.
-    """
+    """When something has settled: each sample of a `window` within `precision`, one taken each `interval`."""
 
     precision: float
     window: DurationS
@@ -79,13 +76,13 @@ class SettleForm(ActionVerb):
         return self
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
-        """Yield the settling step; the subclass determines the settling quantity."""
+        """Yield the settling; what settles is said by the kinds of it."""
         what: Settled = getattr(self, "what")  # noqa: B009 - both kinds have it
         yield Settle(key("settle"), what, self.precision, self.window, self.timeout, self.interval)
 
 
 class SignalSettle(SettleForm):
-    """Settling of the three signals; the precision is in V."""
+    """Settling of the three signals, V."""
 
     what: Literal["signals"] = "signals"
     precision: VoltageV
@@ -93,7 +90,7 @@ class SignalSettle(SettleForm):
 
 
 class TemperatureSettle(SettleForm):
-    """Settling of the temperature at the block; the precision is in K."""
+    """Settling of the temperature at the block, K."""
 
     what: Literal["temperature"] = "temperature"
     precision: Annotated[float, BeforeValidator(lambda text: parse_quantity(text, TEMPERATURE_DIFFERENCE))]
@@ -117,20 +114,20 @@ def _form_of_settling(written: Any) -> str:
 
 
 class FailureSection(FileModel):
-    """The handling of a failed turn or reading: how often to repeat it, then whether to stop or continue."""
+    """What becomes of a turn or a reading that fails: how often it is repeated, and then?"""
 
     repeat: Annotated[int, Field(ge=0, le=100)] = 1
     then: Literal["stop", "continue"] = "stop"
 
     def to_plan(self) -> OnFailure:
-        """Return the section in the form used by plans."""
+        """Return it as a plan holds it."""
         return OnFailure(self.repeat, self.then)
 
 
 class ReadingSection(FileModel):
-    """The defaults of a reading: samples, power-line cycles, and settling before it.
+    """How a reading is taken unless a step says otherwise: samples, power-line cycles, settling before it.
 
-    `settle` is a fixed time to wait, or a criterion for settled signals.
+    `settle` is a plain time to wait, or says when the signals have settled.
     """
 
     samples: Positive = 10
@@ -143,7 +140,7 @@ class ReadingSection(FileModel):
 
 
 class OperatorTimeSection(FileModel):
-    """The operator's expected times; they serve only to estimate the duration of a plan."""
+    """Expected times of the operator, for the estimate of a plan's duration alone."""
 
     turn: SpanS = 120.0
     mount: SpanS = 1200.0
@@ -151,7 +148,7 @@ class OperatorTimeSection(FileModel):
     input: SpanS = 60.0
 
     def to_plan(self) -> OperatorTime:
-        """Return the times in the form used by plans."""
+        """Return the times as a plan holds them."""
         return OperatorTime(self.turn, self.mount, self.answer, self.input)
 
 
@@ -181,16 +178,16 @@ Angle = Annotated[AngleRad, AfterValidator(_within_a_turn)]
 
 
 class LevelVerb(FileModel):
-    """Read the level on the platform with the head at 0°, in two positions half a turn apart.
+    """Read the level on the platform, the head at 0°, in two positions half a turn apart.
 
-    The head is set to 0° anew `settings` times: its setting error dominates the uncertainty of the zero offset α2.
+    The head is set to 0° anew for each of `settings`: how exactly it is set is most of what α2 is known to.
     """
 
     settings: Annotated[int, Field(ge=1, le=100)] = 1
 
 
 class LevelSection(LevelVerb):
-    """Level the platform before the block is mounted, then read the level; repeat if it is off by over `within`."""
+    """Level the platform before the block is mounted, measure what is left; beyond `within` it is done again."""
 
     within: Annotated[SizeRad, above_zero("expected more than nothing: no platform is exactly level")] = (
         10.0 * ARCSEC
@@ -198,9 +195,9 @@ class LevelSection(LevelVerb):
 
 
 class InstallationVerb(FileModel):
-    """Mount the block in an installation; `series` numbers the visits to it, automatically by default.
+    """Mount the block; `series` numbers the visits to an installation, by itself where it is left out.
 
-    With `level` the platform is levelled first.
+    With `level` the platform is levelled before.
     """
 
     label: str
@@ -219,10 +216,9 @@ class InstallationVerb(FileModel):
 
 
 class RepeatVerb(FileModel):
-    """Do the steps in several passes: `times` of them, or one for each of `directions`.
+    """Passes: so many `times`, or one for each of `directions`, which then hold for the turns inside.
 
-    `directions` gives the direction of the turns in each pass; `scans` gives the order in which each pass reads the
-    channels, such as [xyz, zyx].
+    `scans` says for each pass in which order the channels are read, such as [xyz, zyx].
     """
 
     times: Positive | None = None
@@ -244,12 +240,12 @@ class RepeatVerb(FileModel):
 
     @property
     def passes(self) -> int:
-        """The number of passes."""
+        """How many passes there are."""
         return self.times or len(self.directions or ())
 
 
 class AngleSteps(FileModel):
-    """Equally spaced angles: the first angle, the step, and the number of angles."""
+    """Equally spaced angles: the first, the step, how many."""
 
     start: Angle = Field(alias="from")
     step: AngleRad
@@ -271,10 +267,10 @@ def _form_of_angles(written: Any) -> str:
 
 
 class TurnVerb(FileModel):
-    """Turn through angles and do the steps at each; by default, settle and take one reading.
+    """Turn through angles; at each the steps are done, or settling and one reading where there are none.
 
-    Points are numbered from `first_point` in the order of the list. A falling pass visits the list in reverse; each
-    point keeps its number.
+    Points are numbered from `first_point` in the order of the list; a falling pass visits the list in
+    reverse, and a point keeps its number.
     """
 
     angles: Annotated[
@@ -288,14 +284,14 @@ class TurnVerb(FileModel):
 
     @property
     def angles_rad(self) -> tuple[float, ...]:
-        """The angles in listed order, rad."""
+        """The angles in the order of the list, rad."""
         return self.angles.angles_rad if isinstance(self.angles, AngleSteps) else self.angles
 
 
 class ReadVerb(FileModel):
-    """Take a reading, or several `times`, with a `pause` in between; each is a point with the next number.
+    """Take a reading, or so many `times` with a `pause` between them, each a point numbered on from the last.
 
-    The defaults are in the section `reading`.
+    What is left out is as in the section `reading`.
     """
 
     samples: Positive | None = None
@@ -312,10 +308,10 @@ class ReadVerb(FileModel):
 
 
 class InputVerb(FileModel):
-    """Switch all three inputs to a short or a reference, do the steps, switch back to the signals.
+    """Switch all three inputs to a short or to a reference, do the steps, switch them back to the signals.
 
-    Without steps, settle and take one reading. These readings have the installation S or R, and their points are
-    numbered separately.
+    Where there are no steps: settling and one reading. Readings inside are of installation S or R, and their
+    points are numbered by themselves.
     """
 
     source: Literal["short", "reference"]
@@ -330,7 +326,7 @@ class InputVerb(FileModel):
 
 
 class WaitVerb(ActionVerb):
-    """Wait for a fixed duration of bench time."""
+    """Let bench time pass."""
 
     duration: SpanS = Field(alias="for")
     reason: str = "waiting"
@@ -341,7 +337,7 @@ class WaitVerb(ActionVerb):
 
 
 class PromptVerb(ActionVerb):
-    """Ask the operator and record the answer; a dry run needs the `default`."""
+    """Ask the operator; the answer is recorded. Without a default a dry run cannot answer."""
 
     kind: PromptKind
     text: str
@@ -390,14 +386,14 @@ class TemperatureVerb(ActionVerb):
     soak: SpanS = 0.0
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
-        """Yield setting the chamber, settling, and the soak."""
+        """Yield the setting, the settling and the soak."""
         yield from heating(self, self.at, key)
 
 
 class TemperaturesVerb(FileModel):
-    """Do the steps at each of several temperatures, set as by the verb `temperature`.
+    """Do the steps at one temperature after the other, each as the verb `temperature` would set it.
 
-    Inside an installation the block stays mounted, and each temperature is a separate series.
+    Inside an installation the block stays mounted, and each temperature is a series of its own.
     """
 
     at: Annotated[tuple[TemperatureC, ...], Field(min_length=1)]
@@ -409,7 +405,7 @@ class TemperaturesVerb(FileModel):
 def heating(
     verb: TemperatureVerb | TemperaturesVerb, at_c: float, key: Callable[[str], str]
 ) -> Iterator[Step]:
-    """Yield the steps that bring the chamber, and the block in it, to a temperature."""
+    """Yield the steps by which the chamber, and in it the block, comes to a temperature."""
     yield SetTemperature(key("temperature"), at_c)
     if verb.settle is not None:
         yield from verb.settle.plan_steps(key)
@@ -418,10 +414,10 @@ def heating(
 
 
 class PowerVerb(ActionVerb):
-    """Switch the block on, off, or off and on again: `power: on`, `power: {switch: cycle, off_for: 10 min}`.
+    """Switch the block on or off, or off and on again: `power: on`, `power: {switch: cycle, off_for: 10 min}`.
 
-    In a cycle it stays off for `off_for`, and at least for the minimum in the bench file. Once on, it warms up for
-    `warm_up`, by default as stated in the bench file.
+    In a cycle it is off for `off_for` at least, and never for less than the bench file says. Once it is on it warms
+    up as the bench file says, or for `warm_up`.
     """
 
     switch: Switching
@@ -447,7 +443,7 @@ class PowerVerb(ActionVerb):
 
 
 class _StepEntry(FileModel):
-    """A step: exactly one of the verbs."""
+    """One step: exactly one of the verbs."""
 
     installation: InstallationVerb | None = None
     repeat: RepeatVerb | None = None
@@ -466,7 +462,7 @@ class _StepEntry(FileModel):
     @model_validator(mode="before")
     @classmethod
     def _bare(cls, written: Any) -> Any:
-        """Accept `- read:` and `- level:` with nothing after them; all of their settings are the defaults."""
+        """`- read:` with nothing after it is a reading as the section `reading` says; `- level:` one setting."""
         bare = [verb for verb in ("read", "level") if isinstance(written, dict) and verb in written]
         return {**written, bare[0]: {}} if bare and written[bare[0]] is None else written
 
@@ -481,7 +477,7 @@ class _StepEntry(FileModel):
 
     @property
     def given(self) -> tuple[str, Any]:
-        """The verb and its settings."""
+        """The verb, and what is said of it."""
         return next(
             (verb, getattr(self, verb)) for verb in self.model_fields_set if getattr(self, verb) is not None
         )
@@ -490,13 +486,13 @@ class _StepEntry(FileModel):
 if TYPE_CHECKING:
     StepEntry = _StepEntry
 else:
-    # each kind of step in a separate module contributes its verb
+    # kinds of step in modules of their own bring their verbs
     _FURTHER = {kind.NAME: (kind.VERB | None, None) for kind in KINDS if kind.VERB is not None}
     StepEntry = create_model("StepEntry", __base__=_StepEntry, __doc__=_StepEntry.__doc__, **_FURTHER)
 
 
 class IncludedFile(FileModel):
-    """A file of steps to include, possibly a whole procedure; its own `reading` applies to its steps."""
+    """A file that others include: whole procedures can be, and then their own `reading` holds inside."""
 
     procedure: str | None = None
     title: str = ""

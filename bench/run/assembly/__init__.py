@@ -1,1 +1,1 @@
-"""Assembly of a bench from its parts: drivers, and simulated instruments for dry runs."""
+"""Where instruments are put together: drivers, and the simulated bench behind them."""

@@ -1,4 +1,4 @@
-"""The composition root: real and simulated benches assembled from drivers, simulations and persons."""
+"""The composition root: drivers and simulation put together, with a person at the simulated bench."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -35,7 +35,7 @@ from bench.run.runner import Observer
 from drivers.angles import parse_angle
 from drivers.clock import Clock, Haste, SystemClock
 from drivers.interfaces import BenchError, Voltmeter
-from drivers.person import Answer, Person, Prompt, PromptKind, WatchingPerson
+from drivers.person import Answer, Person, Prompt, WatchingPerson
 from drivers.wire.resources import Holding
 from drivers.wire.visa import MessageSession, Wire
 from sim.bench import SimulatedBench
@@ -61,10 +61,11 @@ _DONE: Final = frozenset(
 
 
 class LivingOperator:
-    """A `drivers.interfaces.WatchingPerson`: `person` answers while a scripted operator acts in the world.
+    """A `drivers.interfaces.WatchingPerson`: `person` answers, and a scripted operator acts in the world.
 
-    The simulated head moves to the angle that the person reports. Values shown by a display or by a level's
-    bubble are stated in the prompt. In the simulated world, a task takes the scripted operator's time.
+    The head moves to the angle that the person reads from its scale. The question itself states what a
+    display or the bubble of a level shows. In the world a task takes the scripted operator's time, not the
+    person's.
     """
 
     def __init__(self, person: WatchingPerson, hands: ScriptedOperator) -> None:
@@ -73,7 +74,7 @@ class LivingOperator:
 
     @property
     def meanwhile(self) -> Callable[[], None] | None:
-        """The function called repeatedly while a prompt is open."""
+        """The function that is called while a question waits."""
         return self._person.meanwhile
 
     @meanwhile.setter
@@ -81,35 +82,31 @@ class LivingOperator:
         self._person.meanwhile = self._hands.meanwhile = look
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Ask the person, and carry out the task in the world. Raises the errors of the person's `ask`."""
+        """Ask the person, and do the task in the world. Raises the errors of the person's `ask`."""
         action = prompt.action
         if action["do"] in _LOOKED_AT:
             seen = self._hands.ask(prompt).text
             return self._person.ask(replace(prompt, text=f"{prompt.text} (Simulated: it shows {seen}.)"))
         answer = self._person.ask(prompt)
         if answer.prompt_id != prompt.id or problem_with_answer(prompt, answer.text):
-            return answer  # invalid, so the caller asks again
+            return answer  # it is asked again
         if action["do"] == "turn":
             typed = answer.text.strip() or prompt.default or ""
-            if prompt.kind is PromptKind.CONFIRM:  # an encoder reads the head that the hands turn now
-                return self._hands.ask(prompt) if typed.lower() not in NO else answer
-            self._hands.turn_to(prompt.id, parse_angle(typed), action["direction"], action.get("backoff_rad"))
+            self._hands.turn_to(prompt.id, parse_angle(typed), action["direction"])
         elif action["do"] in _DONE and answer.text.strip().lower() not in NO:
             self._hands.ask(prompt)
         return answer
 
 
 HELD: Final = "instruments"
-"""Name of the cache folder in which programs reserve the instruments that they have opened."""
+"""Name of the cache folder in which a program reserves the instruments that it has opened."""
 
 
 @dataclass(frozen=True)
 class Assembly:
-    """An assembled bench: instruments, the person who answers prompts, the clock, and observers of the run.
+    """A bench put together: instruments, the person who answers prompts, the clock, and the run's observers.
 
-    `sessions` are the sessions of the wired instruments; `simulated` is the simulated bench of a dry run.
-    `aside` surrounds readings that leave no trace in a simulated world.
-    `at_resumed_time` sets the simulated clock to the bench time at which a run is resumed, s.
+    `sessions` are those of the instruments with a wire; `simulated` is the simulated bench of a dry run.
     """
 
     instruments: Instruments
@@ -119,13 +116,12 @@ class Assembly:
     at_resumed_time: Callable[[float], None] | None = None
     sessions: Mapping[str, MessageSession] = field(default_factory=dict)
     simulated: SimulatedBench | None = None
-    aside: Callable[[], AbstractContextManager[None]] = nullcontext
 
 
 def real_bench(
     bench: BenchFile, person: Person, wire: Wire | None = None, haste: Haste | None = None
 ) -> Assembly:
-    """Return the real bench of a bench file without opening anything. Opening an instrument reserves it."""
+    """Return the real bench of a bench file; nothing is opened yet. Opening an instrument reserves it."""
     clock = SystemClock()
     given = Surroundings(
         person,
@@ -150,11 +146,12 @@ def dry_bench(
     taken: Sequence[Reading] = (),
     living: WatchingPerson | None = None,
 ) -> Iterator[Assembly]:
-    """Yield a simulated bench whose truth is the bench file's stand and block, with the effects of `model`.
+    """Yield a simulated bench: the bench file's stand and block as truth, `model` with its effects.
 
-    `living` is a person who answers instead of the scripted operator. `plan` determines the order in which each
-    step reads the channels. `taken` are the recorded readings of a resumed run, for effects that depend on
-    earlier readings. Raises `BenchError` if the bench file contains a fault that its instrument cannot have.
+    `living` is a person who answers in place of the scripted operator. From `plan` the world learns the order
+    in which each step reads the channels. `taken` are the recorded readings of a resumed run, for effects
+    that depend on earlier readings. Raises `BenchError` for a fault in the bench file that its instrument
+    cannot have.
     """
     clock = VirtualClock()
     world = world_of(bench, model, seed, clock)
@@ -162,7 +159,7 @@ def dry_bench(
     operator = scripted if living is None else LivingOperator(living, scripted)
 
     def key_world(event: Event) -> None:
-        """Pass the present step's key to the world, so that its random numbers depend on the step alone."""
+        """Give the world the key of the present step, so that its random numbers belong to the step."""
         if event.type == EventType.STEP_STARTED:
             attempt = int(event.data["attempt"])
             key = str(event.data["key"])
@@ -170,7 +167,7 @@ def dry_bench(
             world.begin_step(key if attempt == 1 else f"{key}@{attempt}", scan)
 
     def scan_of(index: int, meters: Sequence[Voltmeter]) -> tuple[int, ...]:
-        """Return the channel indices in the order in which the step reads them."""
+        """Return the channels in the order in which a step reads them."""
         step = None if plan is None else plan.steps[index]
         return scan_order(read_order(in_scan_order(meters, step.scan if isinstance(step, Read) else "")))
 
@@ -183,21 +180,14 @@ def dry_bench(
         instruments = instruments_of(bench, given)
         _recall(world, taken)
         yield Assembly(
-            instruments,
-            operator,
-            clock,
-            (key_world,),
-            clock.advance_to,
-            given.sessions,
-            simulated,
-            simulated.aside,
+            instruments, operator, clock, (key_world,), clock.advance_to, given.sessions, simulated
         )
 
 
 def _recall(world: World, taken: Sequence[Reading]) -> None:
-    """Pass the recorded readings to a world, if an effect in it depends on earlier readings.
+    """Give a world the recorded readings, if an effect in it depends on earlier readings.
 
-    Readings in a free position are omitted, because their orientation is unknown.
+    Readings in a free position are left out, because their orientation is unknown.
     """
     for reading in taken if world.settings.model.needs_history else ():
         label, angle_deg = reading.installation, reading.angle_deg
@@ -218,7 +208,7 @@ def _recall(world: World, taken: Sequence[Reading]) -> None:
 
 @dataclass(frozen=True)
 class Serving:
-    """A simulated bench as other programs see it: the addresses of its instruments and of its control port."""
+    """A simulated bench as other programs see it: the addresses of its instruments and of its control."""
 
     instruments: tuple[Mapping[str, str | None], ...]
     control: str
@@ -235,9 +225,9 @@ def served_bench(
     first_port: int = 0,
     with_terminals: bool = True,
 ) -> Iterator[Serving]:
-    """Serve the simulated wired instruments on the network, with a clock `speed` times as fast as real time.
+    """Serve the wired instruments of a bench file, on a clock `speed` times as fast as the real one.
 
-    Raises `BenchError` if a port is in use, or for a fault that its instrument cannot have.
+    Raises `BenchError` when a port is in use, or for a fault that its instrument cannot have.
     """
     simulated = _simulated(
         bench,
@@ -273,11 +263,11 @@ def _simulated(
 
 
 TASK_TIME_S = 30.0
-"""Time that the scripted person needs to pull a cable, or to check that the head's path is clear, s."""
+"""Time in which the scripted person pulls a cable, or sees that the head's way is clear, s."""
 
 
 class ScriptedHand:
-    """A `Person` at a simulated bench who handles cables, and leaves other tasks to the scripted operator."""
+    """A `Person` at a simulated bench: pulls and plugs cables, leaves all else to the scripted operator."""
 
     def __init__(self, operator: Person, simulated: SimulatedBench) -> None:
         self._operator = operator
@@ -285,7 +275,7 @@ class ScriptedHand:
         self._control = BenchControl(simulated)
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Carry out the task in the prompt and confirm it; other prompts go to the scripted operator."""
+        """Do the task in the prompt and confirm it; other prompts go to the scripted operator."""
         action = prompt.action
         if action["do"] == "cable":
             word = "accept" if action["plugged"] else "refuse"
@@ -304,7 +294,7 @@ class ScriptedHand:
 def real_evening(
     file: BenchFile, person: Person, log: Wire | None, haste: Haste | None = None
 ) -> CommissioningSession:
-    """Return a commissioning session on a real bench, with nothing opened. `haste` cuts waiting times short."""
+    """Return a commissioning session on a real bench; nothing is opened yet. `haste` cuts waiting short."""
     watch, heard = WireWatch(log), CommissioningPerson(person)
     assembly = real_bench(file, heard, watch, haste)
     watch.time_s = assembly.clock.now_s
@@ -315,10 +305,10 @@ def real_evening(
 def dry_evening(
     file: BenchFile, model: ForwardModel, seed: int, log: Wire | None, haste: Haste | None = None
 ) -> Iterator[CommissioningSession]:
-    """Yield a commissioning session on the simulated bench of a bench file, with a scripted person.
+    """Yield a commissioning session on the simulated bench of a bench file, with its scripted person.
 
-    Time is measured as the sum of the simulated and the computer's clock, because a fault that delays a
-    response takes the computer's time. Raises `BenchError` for a fault that its instrument cannot have.
+    Its time is the simulated clock's plus the computer's: a fault that delays an answer takes the computer's
+    time. Raises `BenchError` for a fault that its instrument cannot have.
     """
     watch = WireWatch(log)
     with dry_bench(file, model, seed, watch, haste) as assembly:

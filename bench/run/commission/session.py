@@ -1,4 +1,4 @@
-"""A commissioning session: bench, person, wire log, and the findings of the checks."""
+"""A commissioning session: bench, person and wires, and the findings of its checks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from drivers.interfaces import (
     LimitExceeded,
     NoAnswer,
 )
-from drivers.person import Action, Answer, Person, Prompt, PromptKind, WatchingPerson
+from drivers.person import Action, Answer, Person, Prompt, PromptKind
 
 
 class State(StrEnum):
@@ -42,14 +42,14 @@ class State(StrEnum):
 
 
 DONE, NOT_AS_EXPECTED, NOT_DONE = 0, 1, 2
-"""Exit statuses; the worst finding determines the status of a session."""
+"""Exit statuses, by the worst finding."""
 
 _STATUS: Final = {State.SLOWER: NOT_AS_EXPECTED, State.OTHER: NOT_AS_EXPECTED, State.COULD_NOT: NOT_DONE}
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A measured value in `unit`; `expected` describes the value with which it was compared."""
+    """A measured number in `unit`, and in words the value with which it was compared."""
 
     what: str
     value: float
@@ -58,7 +58,7 @@ class Figure:
 
     @property
     def text(self) -> str:
-        """The figure as text, such as "loss told after 3.2 s (6 s is the most)"."""
+        """The figure as text for a person."""
         held = f" ({self.expected})" if self.expected else ""
         return f"{self.what} {self.value:.4g} {self.unit}".rstrip() + held
 
@@ -67,7 +67,7 @@ class Figure:
 class Finding:
     """The result of one check of one instrument.
 
-    `said` is a clause without the instrument's name; `remedy` tells the person how to correct a deviation.
+    `said` is a clause without the instrument's name, `remedy` the action to take.
     """
 
     check: str
@@ -79,15 +79,16 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """The finding as one line of text."""
+        """The finding in one line."""
         remedy = f"; {self.remedy}" if self.remedy else ""
         return f"{self.instrument}: {self.check}: {self.said}{remedy}"
 
 
 def status_of(findings: Sequence[Finding], *, whole: bool) -> int:
-    """Return the exit status of a session with these findings; `whole` says whether it was completed.
+    """Return the exit status.
 
-    The status is 2 if the session was incomplete or a check could not be done, 1 after other deviations, else 0.
+    It is 2 where a check could not be done or the session was not completed, 1 after other deviations, 0
+    otherwise.
     """
     if not whole or not findings:
         return NOT_DONE
@@ -100,7 +101,7 @@ Wire = Callable[[str, str, str], None]
 
 @dataclass(frozen=True, slots=True)
 class TimedExchange:
-    """A command and its response time, s."""
+    """A command and the time until its answer, s."""
 
     instrument: str
     command: str
@@ -108,7 +109,7 @@ class TimedExchange:
 
 
 class WireWatch:
-    """A `Wire` that records exchanges and failures and forwards all messages to `log`; `time_s` is its clock."""
+    """A `Wire` that notes exchanges and failures and passes everything on; `time_s` is its clock."""
 
     def __init__(self, log: Wire | None, time_s: Callable[[], float] | None = None) -> None:
         self.time_s = time_s or SystemClock().now_s
@@ -118,7 +119,7 @@ class WireWatch:
         self._failures: list[tuple[str, str]] = []
 
     def __call__(self, instrument: str, direction: str, text: str) -> None:
-        """Record one message and forward it."""
+        """Note one message and pass it on."""
         now_s = self.time_s()
         if direction == ">":
             self._sent[instrument] = (text, now_s)
@@ -132,15 +133,15 @@ class WireWatch:
             self._log(instrument, direction, text)
 
     def mark(self) -> tuple[int, int]:
-        """Return the present numbers of exchanges and failures, as a mark for later queries."""
+        """Return the number of exchanges and of failures so far."""
         return len(self._exchanges), len(self._failures)
 
     def exchanges(self, mark: tuple[int, int], instrument: str) -> list[TimedExchange]:
-        """Return the exchanges of an instrument since `mark`."""
+        """Return the exchanges of an instrument since a mark."""
         return [one for one in self._exchanges[mark[0] :] if one.instrument == instrument]
 
     def failures(self, mark: tuple[int, int], instrument: str) -> list[str]:
-        """Return the failures on an instrument's wire since `mark`."""
+        """Return the failures on an instrument's wire since a mark."""
         return [text for name, text in self._failures[mark[1] :] if name == instrument]
 
 
@@ -148,25 +149,25 @@ WISHES: Final = {
     Wish.SKIP: "leave this out; the reason goes into the page",
     Wish.ABORT: "end here; the bench is left safe and the page written",
 }
-"""Wishes accepted at any prompt, with their effects."""
+"""Wishes that may be typed at any question, with their effects."""
 ONLY_THESE: Final = "Here only :skip REASON and :abort are heard. "
 MOST_LOSSES: Final = 2
-"""Number of losses after which an instrument is no longer checked, because each loss costs several timeouts."""
+"""Number of checks that may lose an instrument before it is tried no more: each loss costs its timeouts."""
 SLOW_PART: Final = 0.5
-"""Greatest part of the timeout that a response may take; slower responses leave too little reserve."""
+"""Greatest part of its timeout that an answer may take; beyond this the reserve is too small."""
 _CHECK_WIRE: Final = "check cable and power; the wire log shows at which command"
 
 
 class Skipped(Exception):
-    """The person skips a check; the text is the reason."""
+    """The person leaves a check out; the text is the reason."""
 
 
 class SessionEnded(Exception):
-    """The session is ended by the person or by the end of the answers; the text is the reason."""
+    """The person, or the end of the answers, ends the session; the text is the reason."""
 
 
 class CheckEnded(Exception):
-    """A check ends early; `finding` is its result."""
+    """A check ends here with its finding."""
 
     def __init__(self, finding: Finding) -> None:
         super().__init__(finding.said)
@@ -179,18 +180,8 @@ class CommissioningPerson:
     def __init__(self, person: Person) -> None:
         self._person = person
 
-    @property
-    def meanwhile(self) -> Callable[[], None] | None:
-        """The function that is called while a question waits, where the person can be watched with."""
-        return self._person.meanwhile if isinstance(self._person, WatchingPerson) else None
-
-    @meanwhile.setter
-    def meanwhile(self, look: Callable[[], None] | None) -> None:
-        if isinstance(self._person, WatchingPerson):
-            self._person.meanwhile = look
-
     def ask(self, prompt: Prompt) -> Answer:
-        """Put the prompt; after any other wish, name the accepted wishes and put the prompt again."""
+        """Put the prompt; after any other wish, name those that are heard and put it again."""
         put = prompt
         while True:
             try:
@@ -207,9 +198,9 @@ class CommissioningPerson:
 class CommissioningSession:
     """A commissioning session on a bench, with its findings.
 
-    `time_s` is the clock for measuring durations: the bench's clock, plus the computer's time on a simulated
-    bench. `connections` maps each wired instrument to a function that returns the number of its present
-    connection, or None if it is not connected. `tell` displays a line.
+    `time_s` measures durations: the bench's clock; on a simulated bench plus the computer's time for the
+    wires. `connections` returns the number of the present connection of each wired instrument (None: not
+    connected). `tell` shows a line.
     """
 
     file: BenchFile
@@ -226,21 +217,21 @@ class CommissioningSession:
     _losses: dict[str, int] = field(default_factory=dict)
     _prompts: int = 0
 
-    # --- settings of the bench file -----------------------------------------------------------------
+    # --- what the bench file says -------------------------------------------------------------------
 
     def section(self, name: str) -> InstrumentForm:
-        """Return the bench file's section on an instrument."""
+        """Return the section of an instrument."""
         return next(section for section in self.file.instruments.all() if section.name == name)
 
     def timeout_s(self, name: str) -> float:
-        """Return the timeout of an instrument's reply, s; 0 for an instrument operated by hand."""
+        """Return the timeout of a reply, s; 0 for an instrument worked by hand."""
         section = self.section(name)
         return section.timeout if isinstance(section, WiredForm) else 0.0
 
     # --- the person ---------------------------------------------------------------------------------
 
     def confirm(self, text: str, *, default: str | None = None, action: Action | None = None) -> None:
-        """Ask the person to confirm. Raises `Skipped`, `SessionEnded`, or `BenchError` after a refusal."""
+        """Have the person confirm. Raises `Skipped`, `SessionEnded`, `BenchError` after a refusal."""
         self._prompts += 1
         prompt = Prompt(
             f"commission/{self._prompts}",
@@ -257,7 +248,7 @@ class CommissioningSession:
     # --- checks -------------------------------------------------------------------------------------
 
     def note(self, finding: Finding) -> None:
-        """Store a finding and display it."""
+        """Store a finding and show it."""
         self.findings.append(finding)
         self.tell(f"{finding.state.value:>9}  {finding.sentence}")
 
@@ -272,11 +263,11 @@ class CommissioningSession:
         by_wire: bool = True,
         opened: bool = True,
     ) -> Finding:
-        """Carry out one check of one instrument; store and return its finding, even after an exception.
+        """Carry out one check of one instrument; return and store its finding, also after an exception.
 
-        `look` performs the check. `also` are further instruments involved. `by_answers` also judges the response
-        times of single commands, `by_wire` other faults on the wires. With `opened` False, the instruments are
-        not opened first. Raises only `SessionEnded` and `KeyboardInterrupt`.
+        `also` are further instruments in the check. `by_answers` judges the time of single answers as well,
+        `by_wire` other faults on the wires. If `opened` is False, the check needs no open instrument. Raises
+        `SessionEnded` and `KeyboardInterrupt` alone.
         """
         name = instrument.name
         if not self.present(instrument):
@@ -293,7 +284,7 @@ class CommissioningSession:
         return found
 
     def present(self, instrument: Instrument) -> bool:
-        """Return whether an instrument is still to be checked, having been lost fewer than `MOST_LOSSES` times."""
+        """Return whether an instrument is still tried; one lost in too many checks is not."""
         return self._losses.get(instrument.name, 0) < MOST_LOSSES
 
     def _found(
@@ -319,12 +310,12 @@ class CommissioningSession:
             return self._of_error(check, name, State.COULD_NOT if not_opened else State.OTHER, error)
         except BenchError as error:
             return self._of_error(check, name, State.COULD_NOT, error)
-        except Exception as error:  # a defect of one driver must not prevent the checks of the others
+        except Exception as error:  # one driver's mistake must not hide what the others show
             cause = f"the driver failed with {type(error).__name__} ({error})"
             return Finding(check, name, State.OTHER, cause, remedy="report it with the wire log")
 
     def _open(self, instrument: Instrument) -> None:
-        """Open an instrument; a refusal counts as a loss of the instrument. Raises `BenchError`."""
+        """Open an instrument; one that refuses counts as lost, too. Raises `BenchError`."""
         try:
             self.identities[instrument.name] = instrument.open()
         except InstrumentLost:
@@ -337,7 +328,7 @@ class CommissioningSession:
         self._losses[name] = self._losses.get(name, 0) + 1
 
     def _of_error(self, check: str, name: str, state: State, error: BenchError) -> Finding:
-        """Return the finding for an error, attributed to the instrument named in the error if it exists."""
+        """Return the finding for an error; it belongs to the instrument that raised the error."""
         known = error.instrument in {one.name for one in self.instruments.all()}
         about = "" if known else f"{error.instrument}: "
         remedy = "; ".join((error.remedy, *getattr(error, "__notes__", ())))
@@ -352,7 +343,7 @@ class CommissioningSession:
     def _with_wire(
         self, found: Finding, name: str, mark: tuple[int, int], before: int | None, by_answers: bool
     ) -> Finding:
-        """Return the finding with faults on a wire added: failures that the driver overcame, slow responses."""
+        """Return a finding with faults on a wire: failures that the driver overcame, and late answers."""
         failures, after = self.watch.failures(mark, name), self._connection(name)
         if failures:
             said = f"{found.said}, but its wire failed on the way ({failures[0]})"

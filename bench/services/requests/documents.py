@@ -1,4 +1,4 @@
-"""Requests for the catalogue, batches, certificates and the panel."""
+"""Requests on many runs and what is made of them: catalogue, batches, certificates, the panel."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ QueryField = Annotated[
 
 @dataclass(frozen=True)
 class Sync:
-    """The synchronisation of the catalogue with run folders."""
+    """Take what is new or changed in run folders into the catalogue."""
 
     folders: Annotated[
         list[Path], Option("Folders with run folders, at any depth.", metavar="DIR…", argument=True)
@@ -57,7 +57,7 @@ class Sync:
 
 @dataclass(frozen=True)
 class Ask:
-    """A question to the catalogue."""
+    """Which runs, units, benches, instruments or certificates a question names."""
 
     query: QueryField = None
     _: KW_ONLY
@@ -87,7 +87,7 @@ class _Dated:
 
 @dataclass(frozen=True)
 class Unit(_Dated):
-    """The history of a unit: its coefficients over time, its runs, its due date."""
+    """One unit: its coefficients over time, its runs, when it is due."""
 
     name: Annotated[str, Option("Serial number, or type and serial number.", metavar="UNIT", argument=True)]
     _: KW_ONLY
@@ -96,7 +96,7 @@ class Unit(_Dated):
 
 @dataclass(frozen=True)
 class DueUnits(_Dated):
-    """The due dates of units, predicted from their drift."""
+    """When units are due, by their drift."""
 
     query: QueryField = None
     _: KW_ONLY
@@ -108,7 +108,7 @@ class DueUnits(_Dated):
 
 @dataclass(frozen=True, kw_only=True)
 class Batch(OnReadings):
-    """Many runs to be evaluated anew; the results are written into a folder."""
+    """Compute many runs anew, into a folder."""
 
     over: Annotated[
         list[str],
@@ -135,7 +135,7 @@ class Batch(OnReadings):
 
 @dataclass(frozen=True, kw_only=True)
 class BatchCalibrate(Batch):
-    """Coefficients and verdicts of many runs, computed anew."""
+    """Coefficients and verdicts of many runs anew."""
 
     estimator: EstimatorField = "gls"
     nominal_angles: NominalField = False
@@ -149,14 +149,14 @@ class BatchCalibrate(Batch):
 
 @dataclass(frozen=True, kw_only=True)
 class BatchDiagnose(Batch):
-    """Diagnoses of many runs, computed anew."""
+    """Diagnoses of many runs anew."""
 
     strict: Annotated[bool, Option("Other names under the same verdict are not accepted, either.")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchReport(Batch):
-    """Reports of many runs, written into the folder of the batch."""
+    """Pages of many runs, in the folder of the batch."""
 
     limit: LimitField = None
     rule: RuleField = None
@@ -179,7 +179,7 @@ ReasonField = Annotated[str, Option("Why; it is written down.", metavar="TEXT")]
 
 @dataclass(frozen=True, kw_only=True)
 class Issuing:
-    """The laboratory, order, signatory and key with which certificates are issued."""
+    """What certificates are issued with."""
 
     laboratory: LaboratoryField = None
     order: Annotated[Path | None, Option("Order file; 'bench init' has one.", metavar="FILE")] = None
@@ -199,7 +199,7 @@ class Issuing:
 
 @dataclass(frozen=True)
 class IssueCertificates(Issuing):
-    """The certificates of runs, each issued once."""
+    """Issue the certificate of a run, once."""
 
     names: Annotated[
         list[str], Option("Runs, by name or path.", metavar="RUN…", argument=True, completes="runs")
@@ -211,7 +211,7 @@ class IssueCertificates(Issuing):
 
 @dataclass(frozen=True)
 class AmendCertificate(Issuing):
-    """A certificate that replaces a valid one."""
+    """Issue a certificate in place of one that holds."""
 
     number: NumberField
     run: RunField
@@ -222,7 +222,7 @@ class AmendCertificate(Issuing):
 
 @dataclass(frozen=True)
 class RevokeCertificate:
-    """The revocation of a certificate."""
+    """Write down that a certificate holds no more."""
 
     number: NumberField
     _: KW_ONLY
@@ -233,7 +233,7 @@ class RevokeCertificate:
 
 @dataclass(frozen=True)
 class CheckRegister:
-    """A check of the register of issued certificates."""
+    """What was issued."""
 
     number: Annotated[str | None, Option("One certificate; all if left out.", argument=True)] = None
     _: KW_ONLY
@@ -249,7 +249,7 @@ class CheckRegister:
 
 @dataclass(frozen=True)
 class VerifyCertificate:
-    """A check of a certificate: its integrity, its signature and whether it is still valid."""
+    """Whether a certificate is intact, who signed it and whether it still holds."""
 
     file: Annotated[
         Path, Option("Certificate, PDF or XML; the other form is found beside it.", argument=True)
@@ -268,7 +268,7 @@ class VerifyCertificate:
 
 @dataclass(frozen=True)
 class ReadCertificate:
-    """A certificate whose coefficients and covariance are to be read."""
+    """Take coefficients with covariance out of a certificate."""
 
     file: Annotated[
         Path,
@@ -291,7 +291,7 @@ class ReadCertificate:
 
 
 class PeopleCommand(StrEnum):
-    """A command on access to the panel: make, list or revoke tokens, or make a one-time link."""
+    """What is asked of the panel beside showing it."""
 
     TOKEN = "token"
     TOKENS = "tokens"
@@ -301,7 +301,7 @@ class PeopleCommand(StrEnum):
 
 @dataclass(frozen=True)
 class ServePanel:
-    """The operator's panel over a folder of runs, to be served; or a command on access to it."""
+    """Serve the operator's panel over a folder of runs, or make what people sign in with."""
 
     what: Annotated[
         PeopleCommand | None,

@@ -25,16 +25,15 @@ from bench.services.requests.shared import (
 
 
 class Calibrated(Protocol):
-    """The result of a calibration, in memory."""
+    """The result of a calibration, at hand."""
 
     @property
     def calibration(self) -> Any:
-        """The estimated calibration."""
+        """What was found."""
 
 
 Given = str | Path | Calibrated | None
-"""Coefficients of an earlier calibration: the path of a result of `bench calibrate --json`, or a result in
-memory."""
+"""Coefficients of another day: a result of `bench calibrate --json` by path, or one at hand."""
 
 SourceField = Annotated[
     Data, Option("Run (name or path) or readings file.", argument=True, completes="sources", typed=str)
@@ -71,14 +70,14 @@ class Calibrate(OnReadings):
 
     @property
     def otherwise(self) -> bool:
-        """Whether an option differs from the one with which a run's own result is computed."""
+        """Whether anything is asked for that changes what a run's own result is."""
         usual = (self.estimator, self.nominal_angles, self.join_free, self.join_verification, self.prior)
         return usual != ("gls", False, True, False, None)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Judging(OnReadings):
-    """The options of a verdict that replace those of the bench file."""
+    """What requests for a verdict share: how it is to be found in place of what the bench file says."""
 
     model: ModelField = None
     limit: LimitField = None
@@ -101,14 +100,14 @@ class Verify(Judging):
 
 @dataclass(frozen=True)
 class Report(Judging):
-    """The report of a calibration."""
+    """The page of a calibration."""
 
     source: SourceField
 
 
 @dataclass(frozen=True)
 class Coefficients(OnReadings):
-    """Calibrations to be written in the forms of navigation software."""
+    """What a navigation computer takes from calibrations."""
 
     sources: Annotated[
         Sequence[str],
@@ -159,7 +158,7 @@ class Compensate(OnReadings):
 
 @dataclass(frozen=True)
 class Tumble(OnReadings):
-    """The IEEE 1293 model terms of each axis."""
+    """The terms of IEEE 1293 of each axis."""
 
     sources: SourcesField
     _: KW_ONLY
@@ -170,7 +169,7 @@ class Tumble(OnReadings):
 
 @dataclass(frozen=True)
 class Confirm(OnReadings):
-    """A test whether new readings confirm a model that was found in other readings."""
+    """Whether new readings confirm a model that was found in others."""
 
     source: Annotated[
         Data,
@@ -191,9 +190,9 @@ class Confirm(OnReadings):
 
 @dataclass(frozen=True)
 class Diagnose(OnReadings):
-    """A search for the places where readings and model disagree, and for the missing effect.
+    """Where readings and model disagree, and what is missing.
 
-    With `write`, all files of `bench diagnose` are written: beside the source, or into `out`.
+    With `write` everything is written that `bench diagnose` writes: beside the source, or into `out`.
     """
 
     source: Annotated[Data | Sequence[Data], _SOURCES]
@@ -222,13 +221,13 @@ class Diagnose(OnReadings):
 
     @property
     def sources(self) -> list[Data]:
-        """The sources as a list, also if there is only one."""
+        """The sources, of which there may be one alone."""
         return list(self.source) if isinstance(self.source, list | tuple) else [self.source]
 
 
 @dataclass(frozen=True)
 class Accept:
-    """A name and a sentence for unnamed terms of a model file."""
+    """A name and a sentence for terms without a name."""
 
     model: Annotated[
         Path,

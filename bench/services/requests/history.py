@@ -1,4 +1,4 @@
-"""Requests on many measurements: control charts, comparisons, learning, stability, the fleet."""
+"""Requests that hold many measurements against one another: charts, comparisons, learning, the fleet."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Compare(OnReadings):
-    """A comparison of calibrations of one block."""
+    """What changed between calibrations of one block."""
 
     sources: Annotated[
         Sequence[Data],
@@ -73,7 +73,7 @@ class Compare(OnReadings):
 
 @dataclass(frozen=True)
 class Learn(OnReadings):
-    """The estimation of a bench's errors from many of its runs."""
+    """What many runs tell of one bench."""
 
     sources: Annotated[
         Sequence[Data],
@@ -97,7 +97,7 @@ class Learn(OnReadings):
 
 @dataclass(frozen=True)
 class Stability:
-    """Noise and drift of a record at rest."""
+    """What a record at rest says of noise and drift."""
 
     record: Annotated[
         str,
@@ -122,7 +122,7 @@ class Stability:
 
 @dataclass(frozen=True)
 class OfFleet:
-    """Calibrations selected from a catalogue."""
+    """Which calibrations of which catalogue."""
 
     query: Annotated[
         Sequence[str] | None,
@@ -142,7 +142,7 @@ class OfFleet:
 
 @dataclass(frozen=True)
 class CompareBenches(OfFleet):
-    """A comparison of benches by units that several of them measured."""
+    """Benches against one another on common units."""
 
     reference: Annotated[
         str | None,
@@ -162,7 +162,7 @@ class DriftOfUnit(OfFleet):
 
 @dataclass(frozen=True)
 class Capability(OfFleet):
-    """The calibration and measurement capability of the laboratory."""
+    """The laboratory's capability."""
 
     quantile: Annotated[
         float, Option("Share of everyday calibrations that reach it.", least=0.01, most=0.99)
